@@ -55,10 +55,21 @@ class Stored(Generic[R]):
 
 
 def results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
-    """Return the results of a step among records, in order. Raises REC-001, REC-003."""
+    """Return the results of a step among records, in order, and those that stand in for them.
+
+    Raises REC-001, REC-003.
+    """
+    models = stand_ins(model)
     return tuple(
-        Stored(record, parse_record(record, model)) for record in records if record.kind == model.kind
+        Stored(record, parse_record(record, models[record.kind]))
+        for record in records
+        if record.kind in models
     )
+
+
+def stand_ins(model: type[R]) -> Mapping[str, type[R]]:
+    """Return a model and those derived from it, whose results stand in for its own, by kind."""
+    return {one.kind: one for one in (model, *model.__subclasses__())}
 
 
 class Case:

@@ -52,15 +52,17 @@ class StepContext:
     def result(self, model: type[R]) -> R:
         """Return the valid result of a model for this step's trajectory or for the whole case.
 
+        A step that declares to read a result derived from that model gets this one, which stands in for it.
         Raises PRO-001 without one, PRO-016 if this step does not declare that it reads it, REC-001 if its
         file was changed.
         """
         return self._read_result(model).result
 
     def _read_result(self, model: type[R]) -> Stored[R]:
-        if model not in self.reads:
+        declared = next((one for one in self.reads if issubclass(one, model)), None)
+        if declared is None:
             raise WRONG_RESULT(f"{self.key} asks for {model.kind}, which it does not declare in its reads")
-        return self._read_from_case(model, self.key.trajectory)
+        return self._read_from_case(declared, self.key.trajectory)
 
     def _read_from_case(self, model: type[R], trajectory: str | None) -> Stored[R]:
         """Read a result, check its file and record it as a parent. Every read goes through here."""
@@ -93,7 +95,8 @@ class StepContext:
         self._case.trust(self._read_declared_or_last(model).record)
 
     def _read_declared_or_last(self, model: type[R]) -> Stored[R]:
-        return self._read_result(model) if model in self.reads else self._standing(model)[-1]
+        is_declared = any(issubclass(one, model) for one in self.reads)
+        return self._read_result(model) if is_declared else self._standing(model)[-1]
 
     @property
     def trajectory(self) -> str:

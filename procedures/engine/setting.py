@@ -55,6 +55,12 @@ class ClinicalInput:
     plan_sha256: str | None = None  # of the plan as it was held when the case was opened
     methods: CaseMethods = field(default_factory=CaseMethods)
     roles: tuple[str, ...] = ONE_ARM  # of the arms, the master first
+    intraoperative: bool = False  # the clamped head is scanned
+
+    @property
+    def scan_folder(self) -> Path:
+        """Folder beside the plan for the scan of the clamped head, its series in ct/."""
+        return self.plan.with_name("intraoperative")
 
     @property
     def place(self) -> Path:

@@ -49,11 +49,15 @@ class BoneRegistration:
 
 
 @dataclass(frozen=True, eq=False)
-class _Level:
+class BoneLevel:
     """Scan at one resolution, blurred and subsampled, with values clipped to bone."""
 
     values: NDArray[np.float32]  # (slices, rows, columns)
     geometry: VoxelGeometry
+
+    def splined(self) -> BoneLevel:
+        """Return the level with values turned into spline coefficients, as `interpolate` needs them."""
+        return BoneLevel(ndimage.spline_filter(self.values, order=3, output=np.float32), self.geometry)
 
     def interpolate(self, points_mm: Array) -> tuple[Array, Mask]:
         """Interpolate at patient positions (n, 3) by cubic splines, and flag positions inside the scan."""
@@ -68,22 +72,23 @@ def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
     found: RigidTransform | None = None
     middle = np.zeros(3)
     for spacing_mm in LEVELS_MM:
-        fixed, moving = _build_level(pre, spacing_mm), _build_level(post, spacing_mm)
-        points, values = _find_bone_points(fixed, spacing_mm)
-        target = _Level(ndimage.spline_filter(moving.values, order=3, output=np.float32), moving.geometry)
+        fixed, moving = build_bone_level(pre, spacing_mm), build_bone_level(post, spacing_mm)
+        points, values = find_bone_points(fixed, spacing_mm)
+        target = moving.splined()
         if found is None:
             middle = points.mean(axis=0)
-            there = _find_bone_points(moving, spacing_mm)[0].mean(axis=0)
+            there = find_bone_points(moving, spacing_mm)[0].mean(axis=0)
             few = slice(None, None, max(1, len(points) // LEAST_POINTS))
             tried = [
-                _refine_pose(points[few], values[few], target, start) for start in _list_starts(middle, there)
+                refine_on_bone(points[few], values[few], target, start)
+                for start in _list_starts(middle, there)
             ]
-            found = max(tried, key=lambda one: _rate_pose(points, values, target, one)[0])
-            _require_one_skull(*_rate_pose(points, values, target, found)[:2])
+            found = max(tried, key=lambda one: rate_on_bone(points, values, target, one)[0])
+            _require_one_skull(*rate_on_bone(points, values, target, found)[:2])
         else:
-            found = _refine_pose(points, values, target, found)
+            found = refine_on_bone(points, values, target, found)
     assert found is not None
-    agreement, overlap, residual_hu = _rate_pose(points, values, target, found)
+    agreement, overlap, residual_hu = rate_on_bone(points, values, target, found)
     _require_one_skull(agreement, overlap)
     return BoneRegistration(found, agreement, overlap, residual_hu)
 
@@ -114,7 +119,7 @@ def sample_bone_spline(volume: Volume, places_mm: Array) -> Array:
     return np.asarray(np.clip(values, SOFT_HU, COMPACT_HU))
 
 
-def _build_level(volume: Volume, spacing_mm: float) -> _Level:
+def build_bone_level(volume: Volume, spacing_mm: float) -> BoneLevel:
     """Clip to bone, blur by half the spacing, and subsample to about this spacing."""
     geometry = volume.geometry
     strides = np.maximum(1, np.rint(spacing_mm / geometry.spacing_mm)).astype(int)
@@ -124,10 +129,10 @@ def _build_level(volume: Volume, spacing_mm: float) -> _Level:
             values = ndimage.gaussian_filter1d(values, 0.5 * spacing_mm / voxel_mm, axis=axis)
             values = values[(slice(None),) * axis + (slice(None, None, int(stride)),)]
     thinned = VoxelGeometry(values.shape, geometry.origin_mm, geometry.axes, geometry.spacing_mm * strides)
-    return _Level(values, thinned)
+    return BoneLevel(values, thinned)
 
 
-def _find_bone_points(level: _Level, spacing_mm: float) -> tuple[Array, Array]:
+def find_bone_points(level: BoneLevel, spacing_mm: float) -> tuple[Array, Array]:
     """Return voxel centres (n, 3) mm in and around the largest bone component, and their values."""
     labels, count = ndimage.label(level.values > BONE_HU)
     sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
@@ -147,16 +152,24 @@ def _list_starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
             yield RigidTransform.from_components(there - rotation.apply(middle), rotation)
 
 
-def _refine_pose(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
-    """Refine the pose by Gauss-Newton: rotation about the points' centroid, and translation."""
+def refine_on_bone(
+    points: Array, values: Array, target: BoneLevel, start: RigidTransform, *, rescaled: bool = False
+) -> RigidTransform:
+    """Refine the pose by Gauss-Newton: rotation about the points' centroid, and translation.
+
+    If the scan of the points has no Hounsfield units, `rescaled` fits a gain and an offset to its values too.
+    """
     rotation, shift = start.rotation, start.translation
     middle = points.mean(axis=0)
     arms = points - middle
     centre = rotation.apply(middle) + shift
+    gain, offset = 1.0, 0.0
     for _ in range(MOST_STEPS):
         turned = rotation.apply(arms)
         gradient, there, inside = _sample(target, turned + centre)
-        residuals = (there - values)[inside]
+        if rescaled:
+            gain, offset = np.polyfit(values[inside], there[inside], 1).tolist()
+        residuals = (there - gain * values - offset)[inside]
         gradient, lever = gradient[inside], turned[inside]
         weights = cauchy_weights(residuals, robust_sigma(residuals) + 1.0)
         jacobian = np.hstack([np.cross(lever, gradient), gradient])
@@ -169,7 +182,7 @@ def _refine_pose(points: Array, values: Array, target: _Level, start: RigidTrans
     return RigidTransform.from_components(centre - rotation.apply(middle), rotation)
 
 
-def _sample(target: _Level, points_mm: Array) -> tuple[Array, Array, Mask]:
+def _sample(target: BoneLevel, points_mm: Array) -> tuple[Array, Array, Mask]:
     """Sample gradients (n, 3) in HU per mm and values (n,), and mark the positions inside the scan."""
     there, inside = target.interpolate(points_mm)
     half_mm = 0.25 * float(target.geometry.spacing_mm.min())
@@ -183,8 +196,8 @@ def _sample(target: _Level, points_mm: Array) -> tuple[Array, Array, Mask]:
     return gradient, there, inside
 
 
-def _rate_pose(
-    points: Array, values: Array, target: _Level, pose: RigidTransform
+def rate_on_bone(
+    points: Array, values: Array, target: BoneLevel, pose: RigidTransform
 ) -> tuple[float, float, float]:
     """Return a pose's correlation, overlap and robust residual."""
     there, inside = target.interpolate(pose.apply(points))

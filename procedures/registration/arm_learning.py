@@ -71,7 +71,8 @@ def share_by_sphere(source: IndependentErrors, spheres: Sequence[int]) -> Shared
     places = np.asarray(spheres)
     columns = []
     for sphere in dict.fromkeys(spheres):
-        root = np.linalg.cholesky(source.at_spheres_mm2[np.argmax(places == sphere)])
+        sizes, axes = np.linalg.eigh(source.at_spheres_mm2[np.argmax(places == sphere)])
+        root = axes * np.sqrt(np.maximum(sizes, 0.0))  # an error may be nothing
         columns.append((places == sphere)[:, None, None] * root)
     return SharedErrors(source.source, np.concatenate(columns, axis=2), np.zeros((AXES, AXES * len(columns))))
 

@@ -12,7 +12,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
-from procedures.engine.case import Case, Stored, parent_of_kind
+from procedures.engine.case import Case, Stored, parent_of_kind, stand_ins
 from procedures.journal.results import StepResult, parse_record
 from procedures.reporting.kept_truth import load_sealed_truth
 from procedures.reporting.outcome import Truth
@@ -83,11 +83,11 @@ class RunReading:
         return find_used_strategies(self._readable(CheckedPaths, self.run.records))
 
     def _readable(self, model: type[R], records: Sequence[Record]) -> tuple[Stored[R], ...]:
-        found = []
+        found, models = [], stand_ins(model)
         for record in records:
-            if record.kind == model.kind:
+            if record.kind in models:
                 try:
-                    found.append(Stored(record, parse_record(record, model)))
+                    found.append(Stored(record, parse_record(record, models[record.kind])))
                 except RonnaError as error:
                     self.note(str(error))
         return tuple(found)

@@ -25,7 +25,8 @@ ALGORITHM_PROCESSOR = "Intel i7-6700HQ"
 LOCALIZATION = "fiducial_localization"
 OUTSIDE = "outside the steps"
 PHASES: Mapping[str, str] = {
-    step.name: step.phase.value for step in clinical_steps(measure_targets=True, roles=TWO_ARMS)
+    step.name: step.phase.value
+    for step in clinical_steps(measure_targets=True, intraoperative=True, roles=TWO_ARMS)
 }
 ACTIVE = "active"  # the state that a device left
 CONNECTED = "connected"  # the event with which counters of the connection begin

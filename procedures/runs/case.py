@@ -43,6 +43,7 @@ def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = 
         None if plan is None else plan.sha256,
         case.methods,
         roles=case.roles,
+        intraoperative=case.intraoperative,
     )
 
 
@@ -64,7 +65,9 @@ def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
     from procedures.strategies.catalogue import find_strategy
 
     return order_of(
-        clinical_steps(measure_targets=case.measure_targets, roles=case.roles),
+        clinical_steps(
+            measure_targets=case.measure_targets, intraoperative=case.intraoperative, roles=case.roles
+        ),
         [] if plan is None else [trajectory.id for trajectory in plan.trajectories],
         localizes_per_trajectory=find_strategy(case.strategy).localizes_per_trajectory,
     )

@@ -135,7 +135,7 @@ def build_finished_outcome(
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, Truth
     from procedures.reporting.run_reading import read_for_report, registrations_of
     from procedures.reporting.tables import target_rows
-    from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+    from procedures.steps.clinical.intraoperative_scan import used_spheres
     from procedures.steps.clinical.plan_check import CheckedPlan
     from procedures.steps.clinical.results import ConfirmedTarget
     from procedures.steps.clinical.retreat import Retreated
@@ -176,7 +176,7 @@ def build_finished_outcome(
         strategy=request.case.strategy,
         localizer=request.case.methods.localizer,
         matcher=request.case.methods.matcher,
-        markers=len(case.get(LocalizedFiducials).result.markers),
+        markers=len(used_spheres(case).markers),
         ct=truth.ct,
         registration=RegistrationOutcome(
             n=registered[names[0]].pairs, fre_mm=tuple(one.fre_mm for one in registered.values())

@@ -24,7 +24,7 @@ from procedures.runs.finishing import begin_report
 from procedures.runs.observers import SEAT_AWAITED, RunObservers, operator_selection
 from procedures.runs.request import CalibrationProcedure, CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import request_hash
-from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
+from procedures.runs.simulated_theatre import THEATRE_FOLDER, SimulatedRoom, SimulatedTheatre, scan_head
 from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.control_port import VARIABLE
 from ronna_hw.errors import RonnaError
@@ -129,7 +129,8 @@ def open_engine(
                 staff = SimulatedRoom(control)
         else:
             simulated = _start_simulated(request, folder, observers, resumption, phantom, stack)
-            file, staff = simulated.theatre.file, SimulatedRoom(simulated.theatre.control)
+            file = simulated.theatre.file
+            staff = SimulatedRoom(simulated.theatre.control, partial(_scan_simulated, request, folder))
             stack.push(staff.tell_missed_faults(observers.announce))
         asks = resumption is None or resumption.asks
         room = _choose_staff(request, staff, observers, asks=asks)
@@ -176,6 +177,14 @@ def open_engine(
                 tell(describe_arm_without_record(place, own=simulated is not None))
             with defer_interruption():
                 engine.close(outcome, ended_by)
+
+
+def _scan_simulated(request: RunRequest, folder: Path) -> None:
+    """Scan the head in the run's own theatre into its case, as the staff of a real one do."""
+    from procedures.runs.case import clinical_input
+
+    clinical = clinical_input(request.case, folder)
+    scan_head(folder / THEATRE_FOLDER, request.choice.scene_seed, clinical.scan_folder)
 
 
 def _hold_theatre(

@@ -115,6 +115,7 @@ class CaseProcedure:
     strategy: str = DEFAULT_STRATEGY
     methods: CaseMethods = field(default_factory=CaseMethods)
     measure_targets: bool = False  # on a phantom with a ball at each target; a simulated one brings them
+    intraoperative: bool = False  # the clamped head is scanned; the simulated one by its theatre's staff
     case: Path | None = None  # folder with ct/ and plan.toml, on configured endpoints
     plan: Path | None = None  # for the simulated patient, in place of its own
     keep_raw: bool = False  # pictures and tracker frames as files

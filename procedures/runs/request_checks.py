@@ -165,7 +165,11 @@ def check_case(request: RunRequest, out: Path) -> None:
     if request.faults is not None:
         from procedures.steps.catalogue import clinical_steps
 
-        steps = clinical_steps(measure_targets=case_procedure.measure_targets, roles=case_procedure.roles)
+        steps = clinical_steps(
+            measure_targets=case_procedure.measure_targets,
+            intraoperative=case_procedure.intraoperative,
+            roles=case_procedure.roles,
+        )
         check_fault_script(request.faults, [step.name for step in steps])
 
 

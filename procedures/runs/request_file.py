@@ -64,6 +64,7 @@ class RequestFile(BaseModel, frozen=True, extra="forbid"):
     strategy: str | None = Field(default=None, description="Of a case.")
     methods: CaseMethods = Field(default=CaseMethods(), description="Localizer and matcher of a case.")
     measure_targets: bool = False
+    intraoperative: bool = Field(default=False, description="Whether the clamped head is scanned.")
     keep_raw: bool = Field(
         default=False, description="Whether pictures and tracker frames are kept as files."
     )

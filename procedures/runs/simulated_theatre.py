@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,11 +23,14 @@ from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from ronna_hw.roles import ASSISTANT
 from ronna_hw.theatre import SIMULATOR_NAME, TheatreProcess
+from ronna_hw.wire.room_tasks import SCAN
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import Truth
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
+SCANNER = "ronna-sim phantom --cone-beam"
+SCAN_TIMEOUT_S = 600.0  # host time; a scan takes a quarter of a minute
 VERIFIER = "ronna-sim verify"
 VERIFY_TIMEOUT_S = 60.0  # host time; it reads a few small files
 THEATRE_FOLDER = "theatre"  # of a run that has a theatre of its own
@@ -138,9 +142,10 @@ class SimulatedRoom:
     The port closes idle connections, so each request opens one of its own.
     """
 
-    def __init__(self, control: str) -> None:
-        """`control` is the control port's endpoint, including its token."""
+    def __init__(self, control: str, scan: Callable[[], None] = lambda: None) -> None:
+        """`control` is the control port's endpoint with its token; `scan` scans the head in its theatre."""
         self._control = control
+        self._afterwards = {SCAN: scan}
 
     def announce(self, step: str) -> None:
         """Tell the theatre which step is running."""
@@ -158,6 +163,7 @@ class SimulatedRoom:
         """Perform the task and return its readings."""
         what = {"task": task.name, "trajectory": task.trajectory or "", "numbers": list(task.numbers)}
         answer = ask_control_port(self._control, "work", **what)
+        self._afterwards.get(task.name, lambda: None)()
         return tuple(float(reading) for reading in answer.get("readings", ()))
 
     def read_wristband(self) -> str:
@@ -175,6 +181,18 @@ class SimulatedRoom:
                     tell(f"warning: {missed}")
 
         return at_exit
+
+
+def scan_head(theatre: Path, seed: int, out: Path) -> None:
+    """Scan the head in a simulated theatre as it is now, into a folder that holds nothing else.
+
+    Raises PRO-013 if the command fails, PRC-001 if it hangs.
+    """
+    shutil.rmtree(out, ignore_errors=True)  # of an earlier scan
+    options = ("--cone-beam", "--theatre", str(theatre), "--seed", str(seed), "--out", str(out))
+    ended = run_command(SCANNER, command("sim.cli", "phantom", *options), SCAN_TIMEOUT_S)
+    if ended.returncode != EXIT_DONE:
+        raise CommandRefused(SCANNER, ended.stderr, ended.returncode)
 
 
 def ask_verifier(folder: Path) -> Truth:

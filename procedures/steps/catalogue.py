@@ -6,7 +6,7 @@ A new step is a new module and an entry here.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from procedures.engine.order import Steps, StepSpec
 from procedures.journal.results import StepResult
@@ -22,6 +22,7 @@ from procedures.steps.clinical import (
     fiducial_localization,
     global_localization,
     head_clamp,
+    intraoperative_scan,
     path_check,
     plan_check,
     positioning,
@@ -78,18 +79,38 @@ BY_ROLE: Mapping[str, Mapping[StepSpec[StepResult], Steps]] = {
 MEASURING_TARGETS: Mapping[StepSpec[StepResult], Steps] = {
     tool_change.STEP: (target_measurement.STEP, tool_change.STEP)
 }
+SCANNING: Mapping[StepSpec[StepResult], Steps] = {
+    head_clamp.STEP: (head_clamp.STEP, intraoperative_scan.STEP)
+}
 
 
-def clinical_steps(*, measure_targets: bool = False, roles: Sequence[str] = ONE_ARM) -> Steps:
-    """Return the steps of a case with arms in these roles, on request with the measurement of targets.
+def clinical_steps(
+    *, measure_targets: bool = False, intraoperative: bool = False, roles: Sequence[str] = ONE_ARM
+) -> Steps:
+    """Return the steps of a case with arms in these roles.
 
-    Raises ValueError where two changes replace the same step.
+    On request it measures the targets, or scans the clamped head. Raises ValueError where two changes
+    replace the same step.
     """
-    changes = [BY_ROLE.get(role, {}) for role in roles] + [MEASURING_TARGETS] * measure_targets
+    changes = [BY_ROLE.get(role, {}) for role in roles]
+    changes += [MEASURING_TARGETS] * measure_targets + [SCANNING] * intraoperative
     replaced = {step: steps for change in changes for step, steps in change.items()}
     if len(replaced) < sum(map(len, changes)):
         raise ValueError(f"two of {', '.join(roles)} and the measurement of targets replace the same step")
-    return tuple(one for step in CLINICAL_STEPS for one in replaced.get(step, (step,)))
+    steps = tuple(one for step in CLINICAL_STEPS for one in replaced.get(step, (step,)))
+    return _with_stand_ins(steps)
+
+
+def _with_stand_ins(steps: Steps) -> Steps:
+    """Let each step read, for a result, the one of a step in between that stands in for it."""
+    found: list[StepSpec[StepResult]] = []
+    for step in steps:
+        made = [one.result for one in found]
+        reads = tuple(
+            next((one for one in reversed(made) if issubclass(one, model)), model) for model in step.reads
+        )
+        found.append(step if reads == step.reads else replace(step, reads=reads))
+    return tuple(found)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from procedures.planning.motions import BACK, LINE, MOVE
 from procedures.planning.pose_name import HOME, PoseKind, PoseName
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.intraoperative_scan import used_spheres
 from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview, motions_over_spheres
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -77,9 +77,7 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
 def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
     """Preview the gauge motions from home; the path check does not record them."""
     workcell = setting.workcell
-    scene = planning_scene(
-        setting.surroundings, case.get(CheckedPlan).result, case.get(LocalizedFiducials).result
-    )
+    scene = planning_scene(setting.surroundings, case.get(CheckedPlan).result, used_spheres(case))
     robot_from_ct = case.get(Correspondence).result.robot_from_ct.transform
     around = scene.with_guide(robot_from_ct, workcell.master.flange_from(MountedTool.GUIDE), None)
     there = workcell.master.settle_motion(radians6(*workcell.tools.guide.gauge.joints_deg), ONE_SIDE)

@@ -17,6 +17,7 @@ REST_DRILL = "rest_drill"  # and off
 SEATED = "seated"  # look whether the stop rests on the guide; the gap in mm is read
 OUT = "out"  # take the instrument out of the guide, or the divot from it
 HEAD_CLAMP = "head_clamp"  # clamp the head, and lock the clamp to the table
+SCAN = "scan"  # scan the clamped head with its spheres, and export the series into the case
 CART_PLACE = "cart_place"  # wheel the cart to its place
 CART_LOCK = "cart_lock"  # apply its brakes
 CART_PUSH = "cart_push"  # lean on the locked cart from each side
@@ -38,6 +39,7 @@ TASKS = (
     SEATED,
     OUT,
     HEAD_CLAMP,
+    SCAN,
     CART_PLACE,
     CART_LOCK,
     CART_PUSH,

@@ -84,11 +84,11 @@ def write_case(
     series = DicomSeries(scene, grid, folder / SERIES_FOLDER, scan.faults)
     planes = Planes(scan)
     steps = planes.steps + grid.slices
-    with _whole_or_removed(series, folder / SERIES_FOLDER):
+    with whole_or_removed(series, folder / SERIES_FOLDER):
         with ThreadPoolExecutor(WORKERS) as pool:
             planes.paint_patches(pool, lambda done: progress(done / steps))
         with closing(
-            _write_slices(
+            write_slices(
                 series, grid, lambda number: to_stored_values(planes.paint(number), planes.largest_stored)
             )
         ) as counts:
@@ -101,7 +101,7 @@ def write_case(
 
 
 @contextmanager
-def _whole_or_removed(series: DicomSeries, folder: Path) -> Iterator[None]:
+def whole_or_removed(series: DicomSeries, folder: Path) -> Iterator[None]:
     """Prepare a series for the block; if that ends early, remove the folder made for it, for a repetition."""
     is_new = not folder.exists()
     series.prepare()
@@ -113,7 +113,7 @@ def _whole_or_removed(series: DicomSeries, folder: Path) -> Iterator[None]:
         raise
 
 
-def _write_slices(series: DicomSeries, grid: CtGrid, paint: Paint) -> Generator[int]:
+def write_slices(series: DicomSeries, grid: CtGrid, paint: Paint) -> Generator[int]:
     """Write all slices of a series, the upper half in a fork, yielding the count written so far.
 
     The JPEG-LS encoder keeps the interpreter lock, so threads would take turns at it.
@@ -279,10 +279,11 @@ def write_postoperative(
         grid,
         folder / SERIES_FOLDER,
         occasion=f"after the operation, {scan.seed}, {instruments}",
+        described="Head phantom after the operation",
     )
     with (
-        _whole_or_removed(series, folder / SERIES_FOLDER),
-        closing(_write_slices(series, grid, lambda number: to_stored_values(scan.paint(number)))) as counts,
+        whole_or_removed(series, folder / SERIES_FOLDER),
+        closing(write_slices(series, grid, lambda number: to_stored_values(scan.paint(number)))) as counts,
     ):
         for count in counts:
             progress(count / grid.slices)
@@ -295,14 +296,21 @@ def write_postoperative(
 def write_mr(scan: MrScan, folder: Path, progress: Progress = lambda share: None) -> Path:
     """Write the MR of a phantom beside its CT, its truth last; return the folder of the series."""
     grid, scene = scan.grid, scan.scene.model_copy(update={"ct": scan.protocol})
-    series = DicomSeries(scene, grid, folder / MR_FOLDER, occasion=f"mr {scan.seed}", is_mr=True)
+    series = DicomSeries(
+        scene,
+        grid,
+        folder / MR_FOLDER,
+        occasion=f"mr {scan.seed}",
+        described="Head phantom before the markers",
+        is_mr=True,
+    )
 
     def paint(number: int) -> NDArray[np.uint16]:
         return np.clip(np.rint(scan.paint(number)), 0, LARGEST_STORED).astype("<u2")
 
     with (
-        _whole_or_removed(series, folder / MR_FOLDER),
-        closing(_write_slices(series, grid, paint)) as counts,
+        whole_or_removed(series, folder / MR_FOLDER),
+        closing(write_slices(series, grid, paint)) as counts,
     ):
         for count in counts:
             progress(count / grid.slices)

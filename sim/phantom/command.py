@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from sim.world.scene.model import Scene
 
 SCANNER = "What the scanner does"
-AFTERWARDS = "After the operation"
+DURING, AFTERWARDS = "During the operation", "After the operation"
 ADHESIVES = 8  # on each patient of the thesis
 DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
 
@@ -109,6 +110,32 @@ def phantom(
         float,
         typer.Option(min=0.0, max=5.0, help="Largest displacement in that MR, at the skin; with --mr."),
     ] = 0.3,
+    cone_beam: Annotated[
+        bool,
+        typer.Option(
+            "--cone-beam",
+            help="Scan the clamped head with its refitted spheres instead, by cone beam: a small field, "
+            "more noise, cupping, streaks of screws and clamp, another pose.",
+            rich_help_panel=DURING,
+        ),
+    ] = False,
+    theatre: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="With --cone-beam: the head in this simulated theatre as it is now, instead of the scene's.",
+            rich_help_panel=DURING,
+        ),
+    ] = None,
+    aim_mm: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=100.0,
+            help="With --cone-beam: largest error of the field's aim at the spheres, per axis.",
+            rich_help_panel=DURING,
+        ),
+    ] = 8.0,
     postoperative: Annotated[
         Path | None,
         typer.Option(
@@ -157,6 +184,18 @@ def phantom(
                 "the run defines head and trajectories; omit --scene, --family and similar options"
             )
         _write_postoperative(postoperative, instrument, out, seed, protocol, as_json)
+        return
+    if theatre is not None and not cone_beam:
+        raise BAD_SCENE("--theatre is for a scan during the operation", action="Add --cone-beam.")
+    if cone_beam:
+        _write_cone_beam(
+            theatre,
+            lambda: load_scene(scene, seed=seed, markers=markers, targets=targets),
+            out,
+            seed,
+            aim_mm,
+            as_json,
+        )
         return
     shifts_mm = (motion_mm, slide_mm)
     faults = ScannerFaults(
@@ -255,6 +294,39 @@ def _scan_adhesives(
     if protocol is not None:
         truth = truth.model_copy(update={"ct": protocol_named(protocol)})
     return truth, adhesive_scan(truth)
+
+
+def _write_cone_beam(
+    theatre: Path | None, load: Callable[[], Scene], out: Path, seed: int, aim_mm: float, as_json: bool
+) -> None:
+    from sim.phantom.cone_beam_case import head_in_theatre, write_cone_beam
+    from sim.phantom.cone_beam_scan import draw_cone_beam
+    from sim.world.displacements import spheres_in_theatre
+
+    if theatre is None:
+        scene = load()
+        spheres = spheres_in_theatre(scene)
+    else:
+        scene, spheres = head_in_theatre(theatre)
+    scan = draw_cone_beam(scene, spheres, seed, aim_mm=aim_mm)
+    with progress_bar("scanning the phantom") as progress:
+        case = write_cone_beam(scan, out, progress)
+    whole = sum(scan.share_shown(marker) >= 1.0 for marker in scan.markers)
+    if as_json:
+        print_json(
+            {
+                "series": str(case.series),
+                "truth": str(case.truth),
+                "series_instance_uid": case.series_instance_uid,
+                "slices": case.slices,
+                "markers": len(scan.markers),
+                "whole": whole,
+            }
+        )
+        return
+    typer.echo(
+        escape_controls(f"{case.series}: {case.slices} slices, {whole} of {len(scan.markers)} spheres whole")
+    )
 
 
 def _write_postoperative(

@@ -32,6 +32,7 @@ from ronna_hw.wire.room_tasks import (
     INSERT,
     OUT,
     REST_DRILL,
+    SCAN,
     SEATED,
     SKIN,
     TOUCH,
@@ -97,7 +98,7 @@ class Staff:
         nothing: Callable[[], Readings] = tuple
         tasks: dict[str, Callable[[], Readings]] = {
             DEPTH_STOP: lambda: self._set_stop(trajectory, float(numbers[0])),
-            **dict.fromkeys((SKIN, DRILL, DURA, HEAD_CLAMP, CART_PLACE, CART_LOCK), nothing),
+            **dict.fromkeys((SKIN, DRILL, DURA, HEAD_CLAMP, SCAN, CART_PLACE, CART_LOCK), nothing),
             CART_PUSH: self._push_cart,
             INSERT: lambda: self._insert(trajectory),
             **dict.fromkeys((HOLDER, EMPTY), self._empty_holder),

@@ -64,7 +64,7 @@ from sim.world.faults.universal_robots import UR_FAULTS
 from sim.world.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, conformance, drivers, sim, procedures, studies, console)
-CASE_STEPS = clinical_steps(measure_targets=True, roles=TWO_ARMS)
+CASE_STEPS = clinical_steps(measure_targets=True, intraoperative=True, roles=TWO_ARMS)
 MOST_PLACES = 3  # of an error, in its table: beyond that it is one of many
 _RAISED = re.compile(r"(?<!class )\b([A-Z]\w*(?:\.(?!from_)\w+)?)(?:\.from_\w+)?\(")
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"

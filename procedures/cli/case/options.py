@@ -223,6 +223,14 @@ class CaseOptions(TheatreOptions):
         bool,
         Option("--measure-targets", help="On a phantom: measure a ball at each target, before the guide."),
     ] = False
+    intraoperative: Annotated[
+        bool,
+        Option(
+            "--intraoperative",
+            help="Scan the clamped head, and take the spheres' places from that scan: --sim makes it, with "
+            "--config its series is put into intraoperative/ct of the case when the step asks for it.",
+        ),
+    ] = False
     tracker: Annotated[
         TrackerChoice,
         Option(
@@ -293,6 +301,7 @@ class CaseOptions(TheatreOptions):
             strategy=self.strategy,
             methods=self._methods(),
             measure_targets=self.measure_targets,
+            intraoperative=self.intraoperative,
             case=self.case,
             plan=self.plan,
             keep_raw=self.keep_raw,

@@ -128,7 +128,11 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     plan = resolve_path(opening.plan)
     strategy = find_strategy(opening.strategy or "")
     order = order_of(
-        clinical_steps(measure_targets=opening.measure_targets, roles=opening.roles),
+        clinical_steps(
+            measure_targets=opening.measure_targets,
+            intraoperative=opening.intraoperative,
+            roles=opening.roles,
+        ),
         [trajectory.id for trajectory in read_plan(plan).trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,
     )
@@ -139,6 +143,7 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
         opening.measure_targets,
         methods=opening.methods,
         roles=opening.roles,
+        intraoperative=opening.intraoperative,
     )
     return ReplayInput(order, clinical, read_theatre_file(resolve_path(opening.theatre_file)))
 

@@ -56,6 +56,7 @@ class Opening(_Strict):
     strategy: str | None = None
     methods: CaseMethods = CaseMethods()
     measure_targets: bool = False
+    intraoperative: bool = False
     roles: RecordedRoles = ONE_ARM
     began: Annotated[AwareDatetime | None, Field(strict=False)] = None
     calibration: CalibrationOpening | None = None
@@ -317,6 +318,7 @@ def opening_line(
         "strategy": None if clinical is None else clinical.strategy.name,
         "methods": asdict(CaseMethods() if clinical is None else clinical.methods),
         "measure_targets": clinical is not None and clinical.measure_targets,
+        "intraoperative": clinical is not None and clinical.intraoperative,
         "roles": list(ONE_ARM if clinical is None else clinical.roles),
         "began": began.isoformat(),
         "calibration": calibration,

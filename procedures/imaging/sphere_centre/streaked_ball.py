@@ -71,6 +71,8 @@ FLOOR_SHARE = 0.005  # share of voxels at the lowest value: noise alone leaves o
 SHARED = 2.0
 NO_FIELD_HU2 = 0.01
 NOISE_FACTOR = 1.5  # in the weights: streaks narrower than their field are no noise
+SLICES_OVERLAP = 1.2  # of the blur along the slices' normal: closer slices have noise in common
+LEAST_CORRELATION = 0.1  # of the noise of two slices; the residuals of a fit hardly show less
 STRETCH_FACTOR = 1.7  # of its variance, chosen on bands of 150 to 450 HU across `plain`
 MOST_PULL = 30.0  # deviations; beyond this the normal tail is replaced by its limit
 
@@ -166,9 +168,13 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     if stretch_result is None or by_noise is None or by_all is None:
         return None
     covariance = by_noise.covariance + SHARED * (by_all.covariance - by_noise.covariance)
+    voxel_index = np.argwhere(usable)
+    shared_noise = _noise_shared_by_slices(
+        voxel_index, np.where(odd | censored, np.nan, remaining), float(region.spacing_mm[0]), unknowns[SZ]
+    )
     return StreakedBall(
         centre_mm=unknowns[:3],
-        covariance_mm2=covariance[:3, :3],
+        covariance_mm2=shared_noise * covariance[:3, :3],
         radius_mm=float(unknowns[RADIUS]),
         metal_share=metal_share,
         cleaned=_remove_streaks(
@@ -331,6 +337,30 @@ def _is_evident(
         return False
     explained = float(np.mean(remaining_hu[away] ** 2 - (remaining_hu - streaks_hu)[away] ** 2))
     return explained > (EVIDENT * noise_hu) ** 2
+
+
+def _noise_shared_by_slices(
+    voxel_index: NDArray[np.int64], residuals: Array, slice_mm: float, blur_mm: float
+) -> float:
+    """Return the variance of a mean over slices, relative to slices of independent noise, at least 1.
+
+    A cone-beam scan is reconstructed as a whole, so noise spans its thin slices as far as the blur does.
+    Slices farther apart than their blur share streaks, but no noise. `residuals` (n,) of voxels at
+    `voxel_index` (n, 3) are NaN where they are not noise.
+    """
+    if slice_mm > SLICES_OVERLAP * blur_mm:
+        return 1.0
+    low = voxel_index.min(axis=0)
+    image = np.full(voxel_index.max(axis=0) - low + 1, np.nan)
+    image[tuple((voxel_index - low).T)] = residuals
+    variance = float(np.nanmean(image**2))
+    shared = 1.0
+    for lag in range(1, len(image)):
+        correlation = float(np.nanmean(image[lag:] * image[:-lag])) / variance
+        if not correlation > LEAST_CORRELATION:
+            break
+        shared += 2.0 * correlation
+    return shared
 
 
 def _floor_hu(region: Region) -> float | None:

@@ -52,10 +52,12 @@ class QuestionRow:
         return self.by == PERSON
 
 
-def questions_of_course(roles: Sequence[str], *, measure_targets: bool) -> tuple[QuestionRow, ...]:
+def questions_of_course(
+    roles: Sequence[str], *, measure_targets: bool, intraoperative: bool
+) -> tuple[QuestionRow, ...]:
     """List the questions that every case asks, in order."""
     rows: list[QuestionRow] = []
-    for step in clinical_steps(measure_targets=measure_targets, roles=roles):
+    for step in clinical_steps(measure_targets=measure_targets, intraoperative=intraoperative, roles=roles):
         title = f"{step.title}, at each target" if step.scope is not Scope.CASE else step.title
         for topic in step.asks:
             rows.append(_row(title, topic, SUBJECTS.get(topic, topic.replace("_", " "))))

@@ -176,7 +176,11 @@ def sheet_of_plan(
         remarks=tuple(remarks),
         pictures=tuple(pictures[:MOST_PICTURES]),
         limits=limits_of_case(theatre.cell, theatre.settings, theatre.arm, dual=ASSISTANT in roles),
-        questions=questions_of_course(roles, measure_targets=bool(options.values.get("measure_targets"))),
+        questions=questions_of_course(
+            roles,
+            measure_targets=bool(options.values.get("measure_targets")),
+            intraoperative=bool(options.values.get("intraoperative")),
+        ),
         branches=questions_of_branches(roles),
         answering=describe_answering(options, simulated=bool(theatre.banner)),
     )

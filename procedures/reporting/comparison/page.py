@@ -89,7 +89,8 @@ class RunComparison:
     @property
     def step_titles(self) -> dict[str, str]:
         """Titles of the steps of a case, by their names in the journal."""
-        return {step.name: step.title for step in clinical_steps(measure_targets=True, roles=TWO_ARMS)}
+        steps = clinical_steps(measure_targets=True, intraoperative=True, roles=TWO_ARMS)
+        return {step.name: step.title for step in steps}
 
     def write(self, out: str | os.PathLike[str]) -> Path:
         """Write the page to a file and return its path. Raises ARG-001, CLI-005 in a run, OSError."""

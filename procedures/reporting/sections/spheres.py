@@ -14,6 +14,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.intraoperative_scan import IntraoperativeSpheres
 from procedures.steps.clinical.results import Relocalization
 from ronna_hw.calibration import Numbers3
 
@@ -40,13 +41,15 @@ class StereoRow(NamedTuple):
 class Spheres:
     """Spheres as each instrument measured them, with pictures."""
 
-    localization: LocalizedFiducials | None
+    localization: LocalizedFiducials | None  # those that count
+    scan: IntraoperativeSpheres | None  # the same, if the clamped head was scanned
     series: ImportedCt | None
     truth: CtOutcome | None
     rows: tuple[SphereRow, ...]
     tracked: bool  # the tracker has measured them
     unpaired_mm: tuple[Numbers3, ...]  # measured by the tracker, tracker frame
     ct_pictures: tuple[Picture, ...]
+    scan_pictures: tuple[Picture, ...]
     stereo: tuple[StereoRow, ...]
     stereo_pictures: tuple[Picture, ...]
 
@@ -60,6 +63,7 @@ def read_spheres(reading: RunReading, truth: Truth | None) -> Spheres:
     paired_mm = {index: points_mm[place] for index, place in partners.items() if 0 <= place < len(points_mm)}
     return Spheres(
         localization=localization,
+        scan=localization if isinstance(localization, IntraoperativeSpheres) else None,
         series=reading.find(ImportedCt),
         truth=None if truth is None else truth.ct,
         rows=tuple(
@@ -69,6 +73,7 @@ def read_spheres(reading: RunReading, truth: Truth | None) -> Spheres:
         tracked=tracked is not None,
         unpaired_mm=tuple(point for place, point in enumerate(points_mm) if place not in partners.values()),
         ct_pictures=load_pictures(reading, "ct-"),
+        scan_pictures=load_pictures(reading, "scan-"),
         stereo=tuple(_stereo_rows(reading)),
         stereo_pictures=load_pictures(reading, "stereo-"),
     )

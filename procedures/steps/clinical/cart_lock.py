@@ -149,10 +149,10 @@ def _offset_from_proposal(
     context: StepContext, proposal: ProposedPlace, robot_from_tracker: Transform, look: RoomReading
 ) -> ProposalDeviation | None:
     """Return the cart's deviation from the proposal, or record a finding and return None without a match."""
-    image, plan = context.result(LocalizedFiducials).centres_mm, context.result(CheckedPlan)
+    localized, plan = context.result(LocalizedFiducials), context.result(CheckedPlan)
     prior = room_prior(plan, context.setting.settings, robot_from_tracker)
     found = coarse_match(
-        plan, image, robot_from_tracker.apply(look.spheres_mm), prior, context.clinical.methods
+        plan, localized, robot_from_tracker.apply(look.spheres_mm), prior, context.clinical.methods
     )
     if found.transform is None:
         context.find(f"the cart cannot be compared with its proposed position: {found.reason}")

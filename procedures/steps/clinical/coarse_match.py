@@ -16,6 +16,7 @@ from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
 from procedures.registration.template import TEMPLATE_SIGMA_MM
 from procedures.registration.thesis_matching import match_as_thesis
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.arrays import Array
 from ronna_hw.config import ProcedureSettings
@@ -57,15 +58,20 @@ def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[Rigid
 
 
 def coarse_match(
-    plan: CheckedPlan, image: Array, physical: Array, prior: PosePrior, methods: CaseMethods
+    plan: CheckedPlan,
+    localized: LocalizedFiducials,
+    physical: Array,
+    prior: PosePrior,
+    methods: CaseMethods,
 ) -> Match:
-    """Match spheres in CT (n, 3) and room (m, 3), mm, by the plan's template or else by distances."""
+    """Match spheres in CT and room (m, 3), mm, by the plan's template or else by distances."""
+    image, expected = localized.centres_mm, localized.count_expected(plan.implanted)
     template_mm, sigma_mm = plan.plan.template_mm, IMPLANTED_SIGMA_MM
     if plan.plan.fiducials is FiducialKind.XFRAME:
         template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM
     is_thesis = methods.matcher is Matcher.THESIS
-    if is_thesis or template_mm is None or plan.implanted != len(template_mm):
-        return match_by_distances(image, physical, prior, methods, expected=plan.implanted)
+    if is_thesis or template_mm is None or expected != len(template_mm):
+        return match_by_distances(image, physical, prior, methods, expected=expected)
     return match_by_template(
         template_mm,
         image,

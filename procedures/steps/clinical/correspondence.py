@@ -86,7 +86,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     image, physical = localization.centres_mm, room.points_mm
     prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
     methods = context.clinical.methods
-    found = coarse_match(plan, image, physical, prior, methods)
+    found = coarse_match(plan, localization, physical, prior, methods)
     found, left_out = _match_fewer_if_agreed(context, found, image, physical, prior)
     transform = found.require_unique()
     pairs = np.asarray(found.pairs)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field
 
@@ -13,6 +16,7 @@ from procedures.imaging.markers import Candidate, Marker, ScanDeformation
 from procedures.imaging.pictures import draw_candidates, draw_markers
 from procedures.imaging.scan_deformation import require_undeformed
 from procedures.journal.results import StepResult, Values
+from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.arrays import Array
@@ -47,10 +51,29 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     )
     localizer: Localizer = Field(default=Localizer.OURS, description="Method that found them.")
 
+    since: ClassVar[str] = "the CT"  # since when a sphere may have moved
+
     @property
     def centres_mm(self) -> Array:
         """Centres (n, 3), LPS mm."""
         return np.array([marker.centre_mm for marker in self.markers], dtype=float).reshape(-1, 3)
+
+    def count_expected(self, implanted: int) -> int:
+        """Return the number of spheres to match in the room, of as many as the plan has `implanted`."""
+        return implanted
+
+    def seating_mm(self, stated_mm: float) -> float:
+        """Return the error per axis with which the spheres were refitted since, as the theatre states it."""
+        return stated_mm
+
+    def place_errors(
+        self, target_mm: Sequence[float], rotation: Array, spheres: int
+    ) -> tuple[SharedErrors, ...]:
+        """Return the errors of the spheres' scan against the plan's CT, at a target; none, it is that CT.
+
+        `rotation` (3, 3) is robot <- CT, `spheres` their number.
+        """
+        return ()
 
     @property
     def disagreement_mm(self) -> dict[int, float]:

@@ -220,18 +220,23 @@ def predict_tip_error(
     stated_rad = calibrations.tool_tip.stated_direction_error_rad
     nothing = np.zeros_like(looked.ct_mm2)
     unnoticed = expect_unnoticed(context, tip_mm, held.joints_rad, held.sides)
-    turn = held.rotation
+    turn, rotation, localized = (
+        held.rotation,
+        robot_from_ct.rotation_matrix,
+        context.result(LocalizedFiducials),
+    )
     sources = (
         IndependentErrors(CT, looked.ct_mm2, np.zeros((3, 3))),
         held.turn_with_head(
             scan_errors(
-                context.result(LocalizedFiducials).deformation,
+                localized.deformation,
                 looked.image_mm,
                 planned.target_mm,
-                robot_from_ct.rotation_matrix,
+                rotation,
             )
         ),
         IndependentErrors(SEATING, looked.seating_mm2, np.zeros((3, 3))),
+        *map(held.turn_with_head, localized.place_errors(planned.target_mm, rotation, len(looked.ct_mm2))),
         *fusion_errors(planned.fusion_error_mm, len(looked.ct_mm2)),
         IndependentErrors(STEREO, looked.stereo_mm2, np.zeros((3, 3))),
         *error_budget.arm_errors(context, looked.looks, looked.physical_mm, target, held),
@@ -252,9 +257,9 @@ def predict_tip_error(
         confidence=DEFAULT_CONFIDENCE,
         widening=predicted.widening,
         formula="covariance propagation, joint by joint",
-        excluded=f"{NOT_PREDICTED}; one sphere moved since the CT: {worst.at_target_mm:.2f} mm "
+        excluded=f"{NOT_PREDICTED}; one sphere moved since {localized.since}: {worst.at_target_mm:.2f} mm "
         f"(sphere {pairs.fiducials[worst.index] + 1}, by {worst.displaced_mm:.1f} mm) until the fit shows",
-        assumed=context.result(LocalizedFiducials).assumed_error,
+        assumed=localized.assumed_error,
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
     return prediction, learned.shift_mm

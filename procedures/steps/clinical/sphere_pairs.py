@@ -133,7 +133,8 @@ class LookedPairs:
         settings = context.setting.settings
         image_mm, count = localization.centres_mm[fiducials], len(fiducials)
         ct_mm2, stereo_mm2 = rotation @ ct @ rotation.T, np.array(fine.covariances_mm2)
-        seating_mm2 = np.tile(np.eye(3) * settings.seating_error_mm**2, (count, 1, 1))
+        seating_mm = localization.seating_mm(settings.seating_error_mm)
+        seating_mm2 = np.tile(np.eye(3) * seating_mm**2, (count, 1, 1))
         sides_mm2 = error_budget.unknown_sides_mm2(context, looks, fine.points_mm)
         scan = scan_errors(localization.deformation, image_mm, image_mm.mean(axis=0), rotation)
         return cls(

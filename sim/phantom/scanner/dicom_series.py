@@ -49,9 +49,14 @@ class DicomSeries:
         faults: ScannerFaults = NO_FAULTS,
         *,
         occasion: str = "",
+        described: str = "Head phantom with fiducial spheres",
+        date: str = SCAN_DATE,
+        intercept_HU: int = INTERCEPT_HU,
+        kernel_name: str = "",
         is_mr: bool = False,
     ) -> None:
         self._scene = scene
+        self._date, self._intercept_HU = date, intercept_HU
         self._grid = grid
         self._folder = folder
         self._tilt_rad = radians(faults.stated_tilt_deg)
@@ -60,11 +65,8 @@ class DicomSeries:
         content = scene.model_dump_json(by_alias=True) + active + occasion
         self._content = hashlib.sha256(content.encode()).digest()
         self._is_mr = is_mr
-        self._described = (
-            "Head phantom after the operation" if occasion else "Head phantom with fiducial spheres"
-        )
-        if is_mr:
-            self._described = "Head phantom before the markers"
+        self._described = described
+        self._kernel_name = kernel_name or KERNELS[faults.kernel].name
         self.series_instance_uid = self._make_uid("series")
         self._study_uid = self._make_uid("study")
         self._frame_uid = self._make_uid("frame of reference")
@@ -126,7 +128,7 @@ class DicomSeries:
         data = Dataset()
         data.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
         data.SOPClassUID = CTImageStorage
-        data.StudyDate = data.SeriesDate = data.AcquisitionDate = data.ContentDate = SCAN_DATE
+        data.StudyDate = data.SeriesDate = data.AcquisitionDate = data.ContentDate = self._date
         data.StudyTime = data.ContentTime = "120000"
         data.AccessionNumber = data.ReferringPhysicianName = ""
         data.Modality = "CT"
@@ -140,7 +142,7 @@ class DicomSeries:
         data.SliceThickness = _format_decimal(self._faults.thickness_mm or grid.slice_mm)
         if not self._faults.tilt_hidden:
             data.GantryDetectorTilt = _format_decimal(self._faults.tilt_deg)
-        data.ConvolutionKernel = KERNELS[self._faults.kernel].name
+        data.ConvolutionKernel = self._kernel_name
         data.PatientPosition = PATIENT_POSITION
         data.StudyInstanceUID, data.SeriesInstanceUID = self._study_uid, self.series_instance_uid
         data.StudyID, data.SeriesNumber, data.AcquisitionNumber = "1", 1, 1
@@ -158,7 +160,7 @@ class DicomSeries:
         data.PixelSpacing = [_format_decimal(grid.pixel_mm)] * 2
         bits = self._bits_stored
         data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, bits, bits - 1, 0
-        data.RescaleIntercept, data.RescaleSlope, data.RescaleType = str(INTERCEPT_HU), "1", "HU"
+        data.RescaleIntercept, data.RescaleSlope, data.RescaleType = str(self._intercept_HU), "1", "HU"
         data.WindowCenter, data.WindowWidth = "40", "400"
         if self._is_mr:
             _describe_mr(data)
@@ -223,9 +225,11 @@ def _encode_meta(instance: UID, is_compressed: bool, is_mr: bool) -> bytes:
     return stream.getvalue()
 
 
-def to_stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint16]:
+def to_stored_values(
+    hu: Values, largest: int = LARGEST_STORED, intercept_HU: int = INTERCEPT_HU
+) -> NDArray[np.uint16]:
     """Convert HU to stored values, saturating at `largest` as a scanner does."""
-    return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, largest).astype("<u2")
+    return np.clip(np.rint(hu) - np.float32(intercept_HU), 0, largest).astype("<u2")
 
 
 def _format_decimal(value: float, digits: int = COORDINATE_DIGITS) -> str:

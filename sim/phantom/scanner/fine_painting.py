@@ -6,11 +6,11 @@ The slice painter gives every edge the same width, which is wrong across a rod t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.phantom.head.anatomy import HeadLayers
 from sim.phantom.head.painting import PLANE_SIGMA_MM, SLICE_SIGMA_MM, blur_spread_mm, blur_weights, paint
 from sim.phantom.head.shapes import Rod, Shape, Values
 from sim.phantom.scanner.faults import Kernel
@@ -20,6 +20,14 @@ from sim.world.rigid import Point
 HALF_SIDE_MM = 10.0  # estimators use up to 9 mm from the centre
 WIDER = 2.0  # width of what a kernel subtracts to enhance edges, relative to what it adds
 FINE_MM = 0.2  # largest sample spacing; edges are antialiased on top
+
+
+class PaintedHead(Protocol):
+    """A head's layers without bodies, in any pose."""
+
+    def hu_at(self, x: Values, y: Values, z: Values) -> Values:
+        """Return the HU at the given points."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -35,7 +43,7 @@ class Patch:
 def paint_patch(
     centre: Point,
     shapes: tuple[Shape, ...],
-    sharp_head: HeadLayers,
+    sharp_head: PaintedHead,
     grid: CtGrid,
     kernel: Kernel,
     thickness_mm: float,

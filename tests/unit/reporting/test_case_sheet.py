@@ -78,7 +78,7 @@ def test_every_question_of_the_course_is_worded_and_marked_if_only_a_person_answ
     roles: tuple[str, ...],
 ) -> None:
     asked = [topic for step in clinical_steps(roles=roles) for topic in step.asks]
-    rows = questions_of_course(roles, measure_targets=False)
+    rows = questions_of_course(roles, measure_targets=False, intraoperative=False)
     assert [one.subject for one in rows] == [SUBJECTS[topic] for topic in asked]
     personal = [topic in FOR_A_PERSON or topic is Topic.PATIENT for topic in asked]
     assert [one.is_personal for one in rows] == personal

@@ -20,6 +20,7 @@ from prepared_results import (
     up_to_correspondence,
 )
 from pydantic import ValidationError
+from scanned_head import scanned_spheres
 
 from procedures.calibration import Baseline, Observation, ObservationSet, Outline
 from procedures.calibration.arm_model import ArmLooks, SphereLook
@@ -51,6 +52,7 @@ from ronna_hw.roles import ONE_ARM, TWO_ARMS
 BASELINE = Baseline.model_construct(looks=())
 BALL_MM = (700.0, 0.0, 300.0)
 PROCEDURES: dict[str, Steps] = {
+    "case with a scan": clinical_steps(intraoperative=True),
     "case": clinical_steps(measure_targets=True, roles=TWO_ARMS),
     "calibration": Recipe(of=Calibrated.HEAD, looks=60, more=3).steps,
     "calibration at a stated place": Recipe(of=Calibrated.HEAD, looks=60, more=3, ball_mm=BALL_MM).steps,
@@ -138,6 +140,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
     divot = DivotReading(look=0, joints_rad=HOME_RAD, robot_from_flange=flange, dials_mm=(0.1, 0.0, 0.0))
     return [
         *up_to_correspondence(cell),
+        scanned_spheres(),
         *(checked_paths(cell), relocalization(), registered_robot(), mounted_guide(), checked_tool()),
         MeasuredTarget(
             tool_pose=pose,

@@ -1,0 +1,328 @@
+"""Scan during the operation: places of the spheres on the clamped head, in the planning CT's coordinates.
+
+Its spheres stand in for those of the CT in all later steps, so what was refitted or has moved since the CT
+no longer counts; the plan stays in the CT. What counts instead is the error of the scan's place in the CT.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import dist
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from procedures.engine.case import Case
+from procedures.engine.context import StepContext
+from procedures.engine.methods import NOT_CLINICAL
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.fusion.record import FusedPose
+from procedures.imaging.dicom.slice_headers import list_dicom_files, read_scan_identity
+from procedures.imaging.errors import MarkerCountWrong
+from procedures.imaging.localizers import LOCALIZERS
+from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker
+from procedures.imaging.pictures import draw_markers
+from procedures.imaging.scan_deformation import require_undeformed
+from procedures.imaging.series import read_series
+from procedures.imaging.volume import AIR_HU, OUTSIDE_FIELD_HU, Volume
+from procedures.intraoperative.bone_pose import BonePose, PoseEstimate, register_bone
+from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING, TooFewWhole
+from procedures.intraoperative.placement import (
+    SAME_SPHERE_MM,
+    PlacedScan,
+    ScannedSpheres,
+    place_scan,
+    require_certain,
+)
+from procedures.journal.results import Values
+from procedures.operator.question import Task
+from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.target_prediction import SharedErrors
+from procedures.steps.clinical.ct_import import ImportedCt, volume_of
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.head_clamp import ClampedHead
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.conditions import needs_arm_home
+from ronna_hw.arrays import Array
+from ronna_hw.calibration import Numbers3
+from ronna_hw.text import format_count
+from ronna_hw.vectors import vector3
+from ronna_hw.wire.room_tasks import SCAN
+
+PLACE = "place of the scan in the CT"
+CUT = "is cut off by the field of view"  # as the localizer says of a sphere that it refuses for that
+READING, LOCALIZING, PLACING = 0.2, 0.4, 0.5  # shares of the work done before
+
+SixVectors = Annotated[tuple[Numbers3, ...], Field(min_length=6, max_length=6)]
+
+
+class ScannedSphere(Values):
+    """Sphere of the scan, in the order of the markers, and what became of it since the CT."""
+
+    in_scan_mm: Numbers3 = Field(description="Centre in the scan, LPS.")
+    sigma_mm: float = Field(description="Stated 3-D rms error of the centre.")
+    is_cut: bool = Field(description="The field of the scan cuts it or its surroundings.")
+    ct_sphere: int | None = Field(
+        description="Index of the sphere of the CT on that screw; none if it is new."
+    )
+    moved_mm: float | None = Field(description="Distance from its place at the CT.")
+    agrees: bool = Field(description="It took part in the adjustment with the bone.")
+
+
+class UnusedSphere(Values):
+    """Sphere of the CT that the scan does not show well enough to be used."""
+
+    ct_sphere: int = Field(description="Its index in the CT.")
+    reason: str = Field(description="Why it is not used.")
+
+
+class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
+    """Spheres found in a scan of the clamped head, in the coordinates of the planning CT."""
+
+    ct_from_scan: FusedPose = Field(description="Pose planning CT <- scan.")
+    place_middle_mm: Numbers3 = Field(
+        description="Point of the CT about which the pose's rotation is stated."
+    )
+    place_turns_rad: SixVectors = Field(
+        description="Of six independent errors of the pose, of one standard deviation each, the rotation "
+        "about that point, in the CT."
+    )
+    place_shifts_mm: SixVectors = Field(description="The shifts of the same six errors.")
+    bone_agreement: float = Field(description="Correlation of the bone of both scans.")
+    agreeing_starts: int = Field(description="Starting poses of the bone that led to this one.")
+    starts: int = Field(description="Starting poses tried.")
+    spheres: tuple[ScannedSphere, ...] = Field(description="The markers one by one, in their order.")
+    unused: tuple[UnusedSphere, ...] = Field(
+        default=(), description="Spheres of the CT that the scan does not show, or not whole."
+    )
+    expected_mm: Mapping[str, float] = Field(
+        description="Expected rms error of the scan's place at each target, by trajectory."
+    )
+
+    since: ClassVar[str] = "the scan during the operation"
+
+    def count_expected(self, implanted: int) -> int:
+        """Return the number of spheres to match: those that the smaller field shows."""
+        return min(implanted, len(self.markers))
+
+    def seating_mm(self, stated_mm: float) -> float:
+        """Return no error: the spheres were scanned as they sit."""
+        return 0.0
+
+    def place_errors(
+        self, target_mm: Sequence[float], rotation: Array, spheres: int
+    ) -> tuple[SharedErrors, ...]:
+        """Return the error of the scan's place in the CT, which carries all spheres along."""
+        pose = estimate_of(self)
+        sizes = np.linalg.cholesky(pose.covariance)
+        there_mm = rotation @ pose.displacements(np.array(target_mm))[0] @ sizes
+        return (SharedErrors(PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
+
+
+def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
+    """Have the head scanned, localize the spheres in the scan and place it in the CT by bone and spheres.
+
+    Raises CBCT-001 to CBCT-007, CT-016, CT-024, PRO-002.
+    """
+    context.result(ClampedHead)
+    context.result(ImportedCt)
+    plan, before = context.result(CheckedPlan), context.result(LocalizedFiducials)
+    folder = context.clinical.scan_folder
+    context.workcell.rest()
+    context.perform_task(
+        Task(
+            SCAN,
+            f"scan the clamped head with its spheres, and put the series into {folder.name}/ct of the case",
+        )
+    )
+    series = folder / "ct"
+    require_scan_of_operation(context.clinical.series, series)
+    volume = read_series(
+        series, progress=lambda share: context.progress(READING * share, "reading the scan of the operation")
+    )
+    if volume.series_instance_uid == before.series_instance_uid:
+        raise NOT_LATER("the scan is the planning CT itself", got=volume.series_instance_uid)
+    context.note_inputs(*list_dicom_files(series))
+    described = LOCALIZERS[before.localizer]
+    found = _localize_whole(context, volume)
+    require_undeformed(found.deformation)
+    bone = register_bone(
+        volume_of(context),
+        volume,
+        lambda share: context.progress(
+            PLACING + (1.0 - PLACING) * share, "comparing the bone of scan and CT"
+        ),
+    )
+    stated_mm = context.setting.settings.seating_error_mm
+    placed = place_scan(bone.pose, _scanned(found.markers), _scanned(before.markers), stated_mm)
+    targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
+    require_certain(placed.pose, targets_mm)
+    for number, picture in enumerate(draw_markers(volume, found), start=1):
+        context.keep_picture(f"scan-{number}.png", picture)
+    context.setting.memory.drop(Volume)
+    result = _record(before, found, bone, placed, plan, find_unused(before, volume, found, placed))
+    moved = [one for one in result.spheres if not one.agrees and one.ct_sphere is not None]
+    for one in moved:
+        context.find(
+            f"sphere {(one.ct_sphere or 0) + 1} of the CT has moved by {one.moved_mm:.2f} mm since then"
+        )
+    for gone in result.unused:
+        context.find(f"sphere {gone.ct_sphere + 1} of the CT is not used: in the scan it {gone.reason}")
+    cut = sum(one.is_cut for one in result.spheres)
+    return Outcome(
+        result,
+        summary=f"{format_count(len(result.spheres), 'sphere')}, {placed.agreeing} where the CT has them"
+        + (f"; moved since the CT: {len(moved)}" if moved else "")
+        + (f"; at the end of the field: {cut}" if cut else "")
+        + "".join(f"; sphere {one.ct_sphere + 1} of the CT {one.reason}" for one in result.unused)
+        + f"; expected error of its place in the CT {max(result.expected_mm.values()):.2f} mm rms"
+        + ("" if described.is_clinical else f"; by {before.localizer}: {NOT_CLINICAL}"),
+    )
+
+
+def used_spheres(case: Case) -> LocalizedFiducials:
+    """Return the spheres that count in a case: of the scan during the operation, else of the CT."""
+    scanned = case.find(IntraoperativeSpheres, None)
+    return case.get(LocalizedFiducials).result if scanned is None else scanned.result
+
+
+def require_scan_of_operation(ct: Path, scan: Path) -> None:
+    """Raise CBCT-001 without a scan, CBCT-002 for another patient, CBCT-003 for one older than the CT."""
+    if not scan.is_dir():
+        raise SCAN_MISSING(f"there is no scan in {scan}")
+    before, now = read_scan_identity(ct), read_scan_identity(scan)
+    if before.patient.identifier != now.patient.identifier:  # messages never name patients
+        raise OTHER_PATIENT("the scan and the planning CT have different patient identifiers")
+    if before.date and now.date and now.date < before.date:
+        raise NOT_LATER(
+            "the scan is older than the planning CT", expected="a later date", got="an earlier one"
+        )
+
+
+def _localize_whole(context: StepContext, volume: Volume) -> Localization:
+    """Localize the spheres of the scan. Raises CBCT-007 for too few, naming those that the field cuts."""
+    localize = LOCALIZERS[context.clinical.methods.localizer].load()
+
+    def show(share: float) -> None:
+        context.progress(LOCALIZING + (PLACING - LOCALIZING) * share, "localizing the spheres of the scan")
+
+    try:
+        found = localize(volume, progress=show)
+        markers, candidates = found.markers, found.candidates
+    except MarkerCountWrong as none:
+        markers, candidates, found = (), none.candidates, None
+    if found is not None and len(markers) >= FEWEST_PAIRS:
+        return found
+    cut = [one.describe() for one in candidates if CUT in one.reason]
+    raise TooFewWhole(
+        "the scan shows too few whole spheres" + (f"; perhaps others: {', '.join(cut)}" if cut else ""),
+        limit=f"at least {FEWEST_PAIRS}",
+        got=str(len(markers)),
+    )
+
+
+def find_unused(
+    before: LocalizedFiducials, volume: Volume, found: Localization, placed: PlacedScan
+) -> tuple[UnusedSphere, ...]:
+    """List the spheres of the CT that no sphere of the scan is paired with, and what the scan shows there."""
+    paired = {pair.ct for pair in placed.pairs}
+    scan_from_ct = placed.pose.ct_from_scan.inv()
+    unused = []
+    for index, place_ct_mm in enumerate(before.centres_mm):
+        if index in paired:
+            continue
+        place_mm = scan_from_ct.apply(place_ct_mm)
+        near = [one for one in found.candidates if dist(one.centre_mm, place_mm) < SAME_SPHERE_MM]
+        if near:
+            reason = near[0].reason
+        elif volume.sample(place_mm[None], AIR_HU + OUTSIDE_FIELD_HU)[0] < OUTSIDE_FIELD_HU:
+            reason = "is outside the field of view"
+        else:
+            reason = "is not there"
+        unused.append(UnusedSphere(ct_sphere=index, reason=reason))
+    return tuple(unused)
+
+
+def _scanned(markers: tuple[Marker, ...]) -> ScannedSpheres:
+    return ScannedSpheres(
+        np.array([one.centre_mm for one in markers]), np.array([one.covariance_mm2 for one in markers])
+    )
+
+
+def estimate_of(result: IntraoperativeSpheres) -> PoseEstimate:
+    """Return the place of the scan in the CT, as recorded."""
+    errors = np.hstack([result.place_turns_rad, result.place_shifts_mm])
+    return PoseEstimate(result.ct_from_scan.rigid, np.array(result.place_middle_mm), errors.T @ errors)
+
+
+def _record(
+    before: LocalizedFiducials,
+    found: Localization,
+    bone: BonePose,
+    placed: PlacedScan,
+    plan: CheckedPlan,
+    unused: tuple[UnusedSphere, ...],
+) -> IntraoperativeSpheres:
+    """Return the spheres in the coordinates of the CT, those that it shows first, in its order."""
+    pose, pairs = placed.pose, {pair.scan: pair for pair in placed.pairs}
+    order = sorted(
+        range(len(found.markers)), key=lambda index: pairs[index].ct if index in pairs else len(pairs) + index
+    )
+    rotation = pose.ct_from_scan.rotation.as_matrix()
+    markers, spheres = [], []
+    for index in order:
+        marker, pair = found.markers[index], pairs.get(index)
+        covariance = rotation @ np.array(marker.covariance_mm2) @ rotation.T
+        markers.append(
+            marker.model_copy(
+                update={
+                    "centre_mm": vector3(pose.ct_from_scan.apply(np.array(marker.centre_mm))),
+                    "covariance_mm2": tuple(map(vector3, covariance)),
+                }
+            )
+        )
+        spheres.append(
+            ScannedSphere(
+                in_scan_mm=marker.centre_mm,
+                sigma_mm=marker.sigma_mm,
+                is_cut=CUT_BY_FIELD in marker.flags,
+                ct_sphere=None if pair is None else pair.ct,
+                moved_mm=None if pair is None else pair.moved_mm,
+                agrees=pair is not None and pair.agrees,
+            )
+        )
+    targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
+    errors = np.linalg.cholesky(pose.covariance).T
+    expected_mm = np.sqrt(np.trace(pose.covariances_mm2(targets_mm), axis1=1, axis2=2))
+    return IntraoperativeSpheres(
+        series_instance_uid=found.series_instance_uid,
+        diameter_mm=found.diameter_mm,
+        markers=tuple(markers),
+        doubtful=(),
+        deformation=before.deformation,  # of the CT, in which the plan and the bone stay
+        localizer=before.localizer,
+        ct_from_scan=FusedPose.of(pose.ct_from_scan),
+        place_middle_mm=vector3(pose.middle_mm),
+        place_turns_rad=tuple(map(vector3, errors[:, :3])),
+        place_shifts_mm=tuple(map(vector3, errors[:, 3:])),
+        bone_agreement=bone.agreement,
+        agreeing_starts=bone.agreeing_starts,
+        starts=bone.starts,
+        spheres=tuple(spheres),
+        unused=unused,
+        expected_mm={
+            one.id: float(error_mm) for one, error_mm in zip(plan.plan.trajectories, expected_mm, strict=True)
+        },
+    )
+
+
+STEP = StepSpec(
+    IntraoperativeSpheres,
+    "Scan the clamped head",
+    Phase.PREPARATION,
+    run,
+    reads=(ImportedCt, LocalizedFiducials, CheckedPlan, ClampedHead),
+    preconditions=needs_arm_home,
+)

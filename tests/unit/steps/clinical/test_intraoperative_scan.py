@@ -1,0 +1,118 @@
+"""A scan of the clamped head stands in for the spheres of the CT, and only one of the operation is taken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from coded_errors import raises
+from scanned_head import PLACE_SIGMA_MM, scanned_spheres
+from scipy.spatial.transform import RigidTransform
+
+from procedures.engine.case import results_of
+from procedures.imaging.markers import Candidate, Localization
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.intraoperative.bone_pose import PoseEstimate
+from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING
+from procedures.intraoperative.placement import PlacedScan, SpherePair
+from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.intraoperative_scan import (
+    PLACE,
+    IntraoperativeSpheres,
+    find_unused,
+    require_scan_of_operation,
+)
+from ronna_hw.records import Record
+from sim.phantom.scanner.dicom_series import DicomSeries
+from sim.phantom.scanner.grid import CtGrid
+from sim.world.scene.model import CtProtocol, Scene
+from sim.world.scene.named_scenes import draw_scene
+
+TINY = CtProtocol(pixel_mm=1.0, slice_mm=1.0, columns=16, rows=16, slices=1)
+
+
+def write_slice(folder: Path, scene: Scene, date: str) -> Path:
+    grid = CtGrid((0.0, 0.0, 0.0), 1.0, 1.0, 16, 16, 1)
+    series = DicomSeries(scene.model_copy(update={"ct": TINY}), grid, folder, date=date)
+    series.prepare()
+    series.write(0, np.zeros((16, 16), "<u2"))
+    return folder
+
+
+def test_later_steps_read_the_scan_in_place_of_the_ct_and_earlier_ones_the_ct() -> None:
+    steps = {step.name: step for step in clinical_steps(intraoperative=True)}
+    assert list(steps).index("intraoperative_scan") == list(steps).index("head_clamp") + 1
+    readers = {
+        step.name for step in CLINICAL_STEPS if LocalizedFiducials in step.reads and step.name != "plan_check"
+    }
+    assert {name for name, step in steps.items() if IntraoperativeSpheres in step.reads} == readers
+    assert LocalizedFiducials in steps["plan_check"].reads
+    assert LocalizedFiducials in steps["intraoperative_scan"].reads
+    assert clinical_steps() == CLINICAL_STEPS
+
+
+def test_seating_no_longer_counts_and_the_place_of_the_scan_does() -> None:
+    result = scanned_spheres()
+    assert result.seating_mm(0.05) == 0.0
+    (place,) = result.place_errors((0.0, 0.0, 0.0), np.eye(3), 4)
+    assert place.source == PLACE
+    assert np.all(place.at_spheres_mm == 0.0)
+    variance_mm2 = float(np.sum(np.asarray(place.at_target_mm) ** 2))
+    assert variance_mm2 == pytest.approx(3.0 * PLACE_SIGMA_MM**2)
+
+
+def test_no_more_spheres_are_expected_in_the_room_than_the_scan_shows() -> None:
+    assert scanned_spheres().count_expected(5) == 4
+
+
+def test_a_record_of_the_scan_is_read_where_spheres_of_the_ct_are_asked_for() -> None:
+    result = scanned_spheres()
+    record = Record(
+        identifier="06-intraoperative_scan",
+        kind=result.kind,
+        parents={},
+        payload=result.model_dump(mode="json", by_alias=True),
+        version=result.version,
+        run="run",
+        series=None,
+        trajectory=None,
+    )
+    (stored,) = results_of(LocalizedFiducials, [record])
+    assert stored.result == result
+
+
+def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
+    scene, other = draw_scene("default", seed=1000), draw_scene("default", seed=1001)
+    ct = write_slice(tmp_path / "ct", scene, "20180601")
+    require_scan_of_operation(ct, write_slice(tmp_path / "later", scene, "20180602"))
+    with raises(SCAN_MISSING):
+        require_scan_of_operation(ct, tmp_path / "nowhere")
+    with raises(NOT_LATER):
+        require_scan_of_operation(ct, write_slice(tmp_path / "older", scene, "20180531"))
+    with raises(OTHER_PATIENT):
+        require_scan_of_operation(ct, write_slice(tmp_path / "other", other, "20180602"))
+
+
+def test_a_sphere_that_the_field_cuts_off_is_named_by_its_number_in_the_ct() -> None:
+    shape = (20, 20, 20)
+    geometry = VoxelGeometry(shape, np.zeros(3), np.eye(3)[:, ::-1], np.full(3, 5.0))
+    volume = Volume(np.full(shape, -1000, np.int16), geometry, "1.2.3", "1.2.4")
+    cut = Candidate((2.0, 50.0, 50.0), accepted=False, reason="is cut off by the field", contrast_hu=900.0)
+    found = Localization((), (cut,), "1.2.3", "1.2.4", 11.5)
+    marker = scanned_spheres().markers[0]
+    places_mm = ((50.0, 50.0, 50.0), (1.0, 50.0, 51.0), (-40.0, 50.0, 50.0), (90.0, 50.0, 50.0))
+    before = LocalizedFiducials(
+        series_instance_uid="1.2.1",
+        diameter_mm=11.5,
+        markers=tuple(marker.model_copy(update={"centre_mm": one}) for one in places_mm),
+        doubtful=(),
+    )
+    pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), np.eye(6))
+    unused = find_unused(before, volume, found, PlacedScan(pose, (SpherePair(0, 0, 0.1, True),)))
+    assert [(one.ct_sphere, one.reason) for one in unused] == [
+        (1, "is cut off by the field"),
+        (2, "is outside the field of view"),
+        (3, "is not there"),
+    ]
