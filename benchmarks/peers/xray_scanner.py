@@ -2,7 +2,7 @@
 
     python xray_scanner.py FOLDER [--family FAMILY ...] [--scans 2] [--seed 7601]
 
-Runs in an environment of its own with `gecatsim` and `itk-rtk` (the versions of the extra `xray`; no dependency
+Runs in an environment of its own with `gecatsim` and `itk-rtk` (versions of the extra `xray`; no dependency
 of this project). The build script of gecatsim 1.6.9 has line ends of Windows: unpack its source, run
 `sed -i 's/\\r$//' gecatsim/clib_build/BuildLinux64 gecatsim/clib_build/Makefile*`, then `pip install .`.
 XCIST projects analytic bodies: tungsten spectrum at 120 kV, cells with an area, quanta, electronic noise, and
