@@ -22,7 +22,7 @@ import numpy as np
 
 from procedures.imaging import Volume, VoxelGeometry
 from ronna_hw.arrays import Array
-from studies.localization.metal_study import CHI2, RMS_UM, localize_all
+from studies.localization.metal_study import CHI2, LEAST_SPHERES, RMS_UM, localize_all
 from studies.localization.study import CHI2_AT_TAIL, SAME_SPHERE_MM
 
 WITHOUT_METAL = ("polymer", "coarse")
@@ -134,9 +134,14 @@ def tabulate(scans: Sequence[JudgedScan]) -> dict[str, Any]:
     }
     total, kinds = figures["all"], figures["streaks"]
     figures["reached"] = {
+        "spheres": total["spheres"] >= LEAST_SPHERES,
         "unlisted": total[UNLISTED] <= MOST_UNLISTED,
         "false": total["false"] <= MOST_FALSE,
-        **{f"rms_{kind}": (kinds[kind]["rms_um"] or math.inf) <= most for kind, most in RMS_UM.items()},
+        **{
+            f"rms_{kind}": kinds[kind]["rms_um"] <= most
+            for kind, most in RMS_UM.items()
+            if kinds[kind]["rms_um"] is not None  # not judged without any
+        },
         "normalized_square": CHI2[0] <= (total["normalized_square"] or math.inf) <= CHI2[1],
     }
     return figures

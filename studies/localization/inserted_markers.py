@@ -77,8 +77,8 @@ def _add_to_slice(
     spacing = scanner.spacing_mm
     rows, columns = (_indices(marker.centre_mm[axis], spacing[axis], voxels.shape[axis]) for axis in (1, 2))
     half_rays = int(np.sqrt(2.0) * HALF_SIDE_MM / RAY_MM)
-    rays_mm = RAY_MM * np.arange(-half_rays, half_rays + 1)
-    angles = np.pi * np.arange(VIEWS) / VIEWS
+    rays_mm: Array = RAY_MM * np.arange(-half_rays, half_rays + 1, dtype=np.float64)
+    angles: Array = np.pi * np.arange(VIEWS, dtype=np.float64) / VIEWS
     offsets, weights = _slice_profile(float(spacing[0]))
     heights = number * spacing[0] + offsets - marker.centre_mm[0]
     chords = [_chords_cm(marker, height, angles, rays_mm) for height in heights]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from procedures.imaging import Volume, read_series
@@ -126,14 +127,16 @@ def place_markers(scanner: SeriesScanner, post: str, random: np.random.Generator
     )
 
 
-def _slope(distance: Array, index: Array) -> Array:
+def _slope(distance: NDArray[np.float32], index: NDArray[np.signedinteger]) -> Array:
     low = np.maximum(index - 1, 0)
     high = np.minimum(index + 1, np.array(distance.shape) - 1)
     steps = [(tuple(_moved(index, axis, high)), tuple(_moved(index, axis, low))) for axis in range(3)]
     return np.array([float(distance[up]) - float(distance[down]) for up, down in steps])
 
 
-def _moved(index: Array, axis: int, ends: Array) -> Array:
+def _moved(
+    index: NDArray[np.signedinteger], axis: int, ends: NDArray[np.signedinteger]
+) -> NDArray[np.signedinteger]:
     moved = index.copy()
     moved[axis] = ends[axis]
     return moved

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from procedures.imaging import Volume, VoxelGeometry, localize
 from studies.errors import SERIES_WITHOUT_ROOM, SERIES_WITHOUT_SCALE
 from studies.localization.inserted_markers import InsertedMarker, insert_markers
-from studies.localization.scanner_of_series import measure_scanner
+from studies.localization.scanner_of_series import SeriesScanner, measure_scanner
 from studies.localization.series_study import MARKERS, place_markers
 
 SPACING = np.array([1.5, 0.8, 0.8])
@@ -39,18 +39,18 @@ def head(semi_mm: tuple[float, float] = (62.0, 54.0), slices: int = 70) -> Volum
 
 
 @pytest.fixture(scope="module")
-def scanner():
+def scanner() -> SeriesScanner:
     return measure_scanner(head())
 
 
-def test_blur_and_noise_are_those_of_the_scan(scanner) -> None:
+def test_blur_and_noise_are_those_of_the_scan(scanner: SeriesScanner) -> None:
     with_pixel = np.hypot(BLUR_MM, SPACING[1] / np.sqrt(12.0))
     assert scanner.blur_mm == pytest.approx(with_pixel, rel=0.15)
     assert scanner.noise_hu == pytest.approx(NOISE_HU, rel=0.1)
 
 
 @pytest.mark.parametrize(("post", "most_mm"), [("polymer", 0.03), ("titanium", 0.06)])
-def test_a_marker_is_found_where_it_was_inserted(scanner, post: str, most_mm: float) -> None:
+def test_a_marker_is_found_where_it_was_inserted(scanner: SeriesScanner, post: str, most_mm: float) -> None:
     centre = np.array([52.3, 119.5 * 0.8 + 62.0 + 14.0, 95.1])
     down = np.array([0.1, -1.0, 0.15]) / np.linalg.norm([0.1, -1.0, 0.15])
     length_mm = 11.5 if post == "polymer" else 21.5
@@ -61,7 +61,7 @@ def test_a_marker_is_found_where_it_was_inserted(scanner, post: str, most_mm: fl
     assert np.linalg.norm(np.array(found.centre_mm) - centre[::-1]) < most_mm
 
 
-def test_markers_are_placed_apart_in_air(scanner) -> None:
+def test_markers_are_placed_apart_in_air(scanner: SeriesScanner) -> None:
     markers = place_markers(scanner, "polymer", np.random.default_rng(2))
     centres = np.array([one.centre_mm for one in markers])
     apart = np.linalg.norm(centres[:, None] - centres, axis=2) + 1e9 * np.eye(MARKERS)
