@@ -56,9 +56,9 @@ class Light:
     """A mixture, with smallest and largest values that are drawn evenly.
 
     `film` is the grey level of the film, of 255 before clipping: of the limb under the ring of lamps, or of
-    the brightest 5 % if `is_exposed`. `hidden` is the share of the rim behind a grey sheet with a blurred edge,
-    `defocus_px` the radius of the disc that a point becomes. `drape` and `side` are the brightness of the drape and of the side's
-    limb by their lamps, over that of the limb under the ring.
+    the brightest 5 % if `is_exposed`. `drape` and `side` are the brightness of the drape and of the side's
+    limb by their lamps, over that of the limb under the ring. `hidden` is the share of the rim behind a grey
+    sheet with a blurred edge, `defocus_px` the radius of the disc that a point becomes.
     """
 
     name: str
