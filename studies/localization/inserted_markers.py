@@ -96,7 +96,7 @@ def _add_to_slice(
     added = _reconstruct(
         _as_water_cm(counted) - _as_water_cm(alone), angles, rays_mm, scanner, marker, rows, columns
     )
-    quanta: Array = random.standard_normal(through.shape)
+    quanta = np.asarray(random.standard_normal(through.shape))
     white = _reconstruct(quanta, angles, rays_mm, scanner, marker, rows, columns)
     picture = voxels[number, rows, columns]
     cover = np.clip(added / HU_PER_WATER, 0.0, 1.0)
