@@ -240,6 +240,14 @@ def localization(
             "--metal", help="Only spheres on metal, with shadows and streaks from the physics of the scan."
         ),
     ] = False,
+    series: Annotated[
+        Path | None,
+        typer.Option(
+            "--series",
+            metavar="DIR",
+            help="Only spheres inserted into this CT of a head, --volumes times for each kind of post.",
+        ),
+    ] = None,
     families: Annotated[
         list[str] | None,
         typer.Option(
@@ -253,21 +261,23 @@ def localization(
     study_options: StudyOptions,
 ) -> None:
     """Spheres in phantom CTs: error, detection and calibration of the predicted error, against the thesis."""
-    from studies.localization import metal_study, tables, thesis_protocol
+    from studies.localization import metal_study, series_study, tables, thesis_protocol
     from studies.localization.study import JUDGING, TUNING, LocalizationStudy
 
-    if thesis + tuning + frames + metal + bool(families) > 1:
+    if thesis + tuning + frames + metal + (series is not None) + bool(families) > 1:
         chosen = {
             "--thesis": thesis,
             "--tuning": tuning,
             "--frames": frames,
             "--metal": metal,
+            "--series": series is not None,
             "--family": bool(families),
         }
         raise _several_studies([option for option, is_given in chosen.items() if is_given])
-    if (thesis or metal) and methods:
+    if (thesis or metal or series is not None) and methods:
+        with_own = "--thesis" if thesis else "--metal" if metal else "--series"
         raise UsageMistake(
-            f"--method cannot be combined with {'--thesis' if thesis else '--metal'}",
+            f"--method cannot be combined with {with_own}",
             expected="--family, --frames or neither",
             action="Omit one of the two.",
         )
@@ -285,6 +295,10 @@ def localization(
         return
     if metal:
         _run(metal_study.MetalStudy(volumes, seed), metal_study, study_options)
+        return
+    if series is not None:
+        series_study.measured_series(str(series.resolve()))  # refused before any worker starts
+        _run(series_study.SeriesStudy(str(series.resolve()), volumes, seed), series_study, study_options)
         return
     study = LocalizationStudy(volumes, sets, seed, own=own)
     if tuning:

@@ -150,3 +150,17 @@ SWEEP_IN_USE = ErrorCode(
     "Another sweep is writing its points into the folder.",
     "Wait until it has ended, and call again: its points are then taken over; or give another folder=.",
 )
+
+SERIES_WITHOUT_SCALE = ErrorCode(
+    "STU-027",
+    DataError,
+    "Markers cannot be inserted into this series: too few slices, or voxels too large for a sphere.",
+    "Give a series of a whole head with slices of at most 3 mm.",
+)
+
+SERIES_WITHOUT_ROOM = ErrorCode(
+    "STU-028",
+    DataError,
+    "Markers cannot be inserted into this series: it shows no head with air around it.",
+    "Give a CT of a head whose field of view is wider than the head by 40 mm on a side.",
+)

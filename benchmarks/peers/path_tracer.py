@@ -1,7 +1,7 @@
 """Views of a retro-reflective ball before a drape, by the path tracer Mitsuba, for `traced_views`.
 
     python path_tracer.py FOLDER [--views 24] [--first 0] [--focal-px 11364] [--size 600] [--samples 10]
-                          [--ring-mm 14] [--paint 0.5]
+                          [--ring-mm 14] [--paint 0.5] [--defocus-mm 1] [--hidden 0]
 
 Runs in an environment of its own with `mitsuba` and `numpy` (no dependency of this project; Mitsuba 3.9 needs
 LLVM 17 or newer, given by DRJIT_LIBLLVM_PATH if it is not found). Writes one file per view: light of the ring
@@ -34,6 +34,7 @@ GRAIN, CLOUDS = 0.04, 0.02  # of the film's brightness: beads, and what is longe
 TEXELS, CLOTH_POINTS, CLOTH_MM, FOLD_MM = 1024, 241, 120.0, 4.0
 CLEARANCE_MM, CLEAR_RADIUS_MM = 8.0, 9.0  # of the drape behind the ball
 FIREFLY = 2.0  # over the median of the neighbours
+COVER_BEFORE_MM, COVER_MM, COVER_REFLECTANCE = (6.0, 25.0), 60.0, (0.02, 0.5)  # before the ball, its side
 
 
 class BeadFilm(mi.BSDF):  # type: ignore[misc]  # its base is unknown where Mitsuba is not installed
@@ -165,10 +166,25 @@ def lamps(
     return {"lamp": {"type": "disk", "to_world": shape, "emitter": {"type": "area", "radiance": radiance}}}
 
 
+def draw_cover(random: np.random.Generator, ball: np.ndarray, hidden: float) -> dict[str, Any]:
+    """Return a matt sheet before the ball, whose straight edge hides this share of the rim."""
+    before_mm = random.uniform(*COVER_BEFORE_MM)
+    turn = random.uniform(0.0, 2.0 * np.pi)
+    edge_mm = BALL_MM * np.cos(np.pi * hidden) * (ball[2] - before_mm) / ball[2]
+    away_mm = edge_mm + 0.5 * COVER_MM
+    middle = ball * (ball[2] - before_mm) / ball[2] + away_mm * np.array([np.cos(turn), np.sin(turn), 0.0])
+    shape = mi.ScalarTransform4f().translate([float(each) for each in middle])
+    shape = shape @ mi.ScalarTransform4f().rotate([0, 0, 1], float(np.degrees(turn)))
+    shape = shape @ mi.ScalarTransform4f().scale(0.5 * COVER_MM)
+    paint = {"type": "diffuse", "reflectance": random.uniform(*COVER_REFLECTANCE)}
+    return {"type": "rectangle", "to_world": shape, "bsdf": {"type": "twosided", "paint": paint}}
+
+
 def render_view(number: int, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """Render the parts of one view, all drawn from its number."""
     random = np.random.default_rng(number)
-    ball = np.array([*random.uniform(-0.6, 0.6, 2), FOCUS_MM + random.uniform(-1.0, 1.0)])
+    aside_mm = random.uniform(-0.6, 0.6, 2)
+    ball = np.array([*aside_mm, FOCUS_MM + options.defocus_mm * random.uniform(-1.0, 1.0)])
     post = np.array([random.uniform(-0.5, 0.5), random.uniform(-0.1, 0.8), 1.0])
     post /= np.linalg.norm(post)
     rises = {"top": np.radians(random.uniform(35.0, 75.0)), "side": np.radians(random.uniform(-20.0, 15.0))}
@@ -215,6 +231,8 @@ def render_view(number: int, options: argparse.Namespace, folder: Path) -> dict[
             "bsdf": {"type": "twosided", "dye": {"type": "diffuse", "reflectance": as_bitmap(0.85 * cloth)}},
         },
     }  # fmt: skip
+    if options.hidden:
+        fixed["cover"] = draw_cover(random, ball, options.hidden)
     seeds = {part: number * len(PARTS) + index for index, part in enumerate(PARTS)}
     scenes = {part: mi.load_dict(fixed | lamps(part, options.ring_mm, ball, where)) for part in PARTS}
     light = {
@@ -257,6 +275,8 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=10)
     parser.add_argument("--ring-mm", type=float, default=14.0)
     parser.add_argument("--paint", type=float, default=0.5)
+    parser.add_argument("--defocus-mm", type=float, default=1.0, help="largest, before or behind")
+    parser.add_argument("--hidden", type=float, default=0.0, help="share of the rim")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:

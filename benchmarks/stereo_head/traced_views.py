@@ -14,12 +14,13 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from procedures.relocalization import SphereStatus, measure_sphere
 from procedures.relocalization.errors import NoContrast, NoSphere
@@ -35,6 +36,7 @@ LIMB_SHARE = (0.95, 0.99)  # of the radius, where the levels of the film are tak
 BESIDE_SHARE = (1.01, 1.05)  # of the radius, where those of the drape are taken
 DARK_SHARE = 0.02  # of the brightest; a lamp that reaches the ball less is behind a fold
 LARGEST_FILM_OVER_DRAPE = 3.0  # under the lamp from above; beyond it, the drape lies in shadow
+SHEET, SHEET_BLUR_PX = (0.02, 0.3), (1.5, 15.0)  # its brightness, of the film's; blur of its edge
 EXPOSURES = 3  # of each view and light: another mixture and other noise
 
 
@@ -55,7 +57,8 @@ class Light:
 
     `film` is the grey level of the film, of 255 before clipping: of the limb under the ring of lamps, or of
     the brightest 5 % if `is_exposed`. `drape` and `side` are the brightness of the drape and of the side's
-    limb by their lamps, over that of the limb under the ring.
+    limb by their lamps, over that of the limb under the ring. `hidden` is the share of the rim behind a grey
+    sheet with a blurred edge, `defocus_px` the radius of the disc that a point becomes.
     """
 
     name: str
@@ -64,6 +67,8 @@ class Light:
     side: tuple[float, float] = (0.0, 0.0)
     is_exposed: bool = False
     bits: int = 8
+    hidden: float = 0.0
+    defocus_px: float = 0.0
 
 
 ORDINARY = Light("ordinary", (180.0, 180.0), drape=(0.03, 0.08))
@@ -75,9 +80,13 @@ SATURATED_DRAPE = Light("saturated, bright drape", (280.0, 510.0), drape=(0.1, 0
 SIDE_LAMP = Light("lamp from the side", (200.0, 200.0), side=(0.5, 2.0), is_exposed=True)
 STRONG_SIDE_LAMP = Light("strong lamp from the side", (220.0, 220.0), side=(2.0, 6.0), is_exposed=True)
 SATURATED_SIDE = Light("lamp from the side, saturated", (180.0, 180.0), side=(1.0, 3.0))
+HIDDEN_FIFTH = Light("a fifth hidden", (180.0, 180.0), drape=(0.03, 0.08), hidden=0.2)
+OUT_OF_FOCUS = Light("out of focus", (180.0, 180.0), drape=(0.03, 0.08), defocus_px=5.0)
+HIDDEN_BEFORE_DRAPE = replace(BRIGHT_DRAPE, name="a fifth hidden, bright drape", hidden=0.2)
+BLURRED_DRAPE = replace(BRIGHT_DRAPE, name="out of focus, bright drape", defocus_px=5.0)
 LIGHTS = (
     ORDINARY, TWELVE_BITS, FAINT, BRIGHT_DRAPE, SATURATED, SATURATED_DRAPE, SIDE_LAMP, STRONG_SIDE_LAMP,
-    SATURATED_SIDE,
+    SATURATED_SIDE, HIDDEN_FIFTH, OUT_OF_FOCUS, HIDDEN_BEFORE_DRAPE, BLURRED_DRAPE,
 )  # fmt: skip
 
 
@@ -143,7 +152,28 @@ def expose(view: TracedView, light: Light, random: np.random.Generator) -> Pictu
     )
     if light.is_exposed:
         mixed /= float(np.percentile(mixed[distance < LIMB_SHARE[1]], 95))
+    if light.defocus_px:
+        mixed = cv2.filter2D(mixed, -1, _disc(light.defocus_px), borderType=cv2.BORDER_REPLICATE)
+    if light.hidden:
+        mixed = _cover(mixed, view, light.hidden, random)
     return _read_out(grey * mixed, light.bits, random)
+
+
+def _disc(radius_px: float) -> Array:
+    half = int(radius_px) + 2
+    rows, columns = np.mgrid[-half : half + 1, -half : half + 1]
+    kernel = np.clip(radius_px + 0.5 - np.hypot(rows, columns), 0.0, 1.0)
+    return np.asarray(kernel / kernel.sum())
+
+
+def _cover(mixed: Array, view: TracedView, hidden: float, random: np.random.Generator) -> Array:
+    """Return the light with a straight sheet over a share of the rim, grey and out of focus at random."""
+    turn, blur_px = random.uniform(0.0, 2.0 * np.pi), random.uniform(*SHEET_BLUR_PX)
+    level = random.uniform(*SHEET)
+    rows, columns = np.mgrid[: mixed.shape[0], : mixed.shape[1]]
+    along = (columns - view.centre_px[0]) * np.cos(turn) + (rows - view.centre_px[1]) * np.sin(turn)
+    share = ndtr((along - view.radius_px * np.cos(np.pi * hidden)) / blur_px)
+    return np.asarray((1.0 - share) * mixed + share * level)
 
 
 def _read_out(grey: Array, bits: int, random: np.random.Generator) -> Picture:

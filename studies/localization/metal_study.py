@@ -113,28 +113,33 @@ def count_spheres(
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Tabulate the results by protocol and together, and compare them with the goals."""
+    streaks = f"Streaks: metal artefacts of more than {STREAKED_HU:g} HU rms inside the sphere."
+    return tabulate_spheres("Spheres on metal screws", "protocol", streaks, sums)
+
+
+def tabulate_spheres(title: str, condition: str, streaks: str, sums: Mapping[str, Sums]) -> list[Table]:
+    """Tabulate the sums of `count_spheres` by condition and together, and compare them with the goals."""
     together = pool(sums.values())
     rows = [
-        _make_row(protocol, kind, total)
-        for protocol, total in [*sums.items(), ("all", together)]
+        {condition: name} | _make_row(kind, total)
+        for name, total in [*sums.items(), ("all", together)]
         for kind in KINDS
+        if total.get(f"{kind}|spheres")
     ]
     return [
         Table.of(
-            "Spheres on metal screws",
+            title,
             rows,
-            f"Streaks: metal artefacts of more than {STREAKED_HU:g} HU rms inside the sphere. Errors "
-            "are 3-D. chi² / 3n is 1 when the stated covariances are right. A doubtful sphere is listed "
-            "with its picture and odds; a missed one is not listed.",
+            f"{streaks} Errors are 3-D. chi² / 3n is 1 when the stated covariances are right. A doubtful "
+            "sphere is listed with its picture and odds; a missed one is not listed.",
         ),
         Table("Goals", GOALS, _judge(together)),
     ]
 
 
-def _make_row(protocol: str, kind: str, total: Mapping[str, float]) -> dict[str, Cell]:
+def _make_row(kind: str, total: Mapping[str, float]) -> dict[str, Cell]:
     found = total.get(f"{kind}|found", 0.0)
     return {
-        "protocol": protocol,
         "streaks": kind,
         **{
             what: int(total.get(f"{kind}|{what}", 0.0)) for what in ("spheres", "found", "doubtful", "missed")
