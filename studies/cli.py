@@ -295,7 +295,7 @@ def strategies(
     identified: Annotated[
         bool,
         typer.Option(
-            "--identified", help="Only arms as identified by `ronna-arm calibrate`, with a fine CT."
+            "--identified", help="Only arms as identified by `ronna-arm calibrate`, spheres as in a case."
         ),
     ] = False,
     wrong: Annotated[

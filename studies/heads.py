@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from ronna_hw.arrays import Array
+from studies.sphere_errors import THESIS_PAIRING_MM
 
 PATIENTS = (1, 2, 3)
 HALF_AXES_MM = {1: (72.0, 92.0, 66.0), 2: (76.0, 97.0, 71.0), 3: (80.0, 102.0, 76.0)}
@@ -26,7 +27,7 @@ LOWEST_SITE = -0.1  # fraction of the semi-axis: no screw below the ear
 DISPLACED_MM = 10.0  # radius of the ball within which each site is displaced
 OUTLIER_BALL_MM = 300.0
 AWAY_MM = 500.0
-IMAGE_SIGMA_MM = 0.17
+IMAGE_SIGMA_MM = THESIS_PAIRING_MM
 PHYSICAL_SIGMA_MM = 0.56
 
 

@@ -1,9 +1,9 @@
 """Random arms of parameter set S, drawn as in the simulated theatre, and their joints at planned poses.
 
 The formulas are those of the simulator's true arm, chain and joints implemented a second time for arrays: a
-test compares the two. Every arm is drawn from the seed and its own number. Set S, with the CT error of
-0.38 mm, was chosen so that the means of table 4 of the thesis come out: agreement with that table confirms
-nothing.
+test compares the two. Every arm is drawn from the seed and its own number. Set S, with spheres 0.38 mm off
+their places in the CT (`studies.sphere_errors`), was chosen so that the means of table 4 of the thesis come
+out: agreement with that table confirms nothing.
 """
 
 from __future__ import annotations

@@ -38,11 +38,10 @@ from studies.low_cost.calibration import fit_pivot
 from studies.low_cost.devices import FRAME_LIMIT_S, PHANTOM_FRAME, Hand, open_room, require_look
 from studies.low_cost.room import draw_room, drawn_marker_in_tip, phantom_centre_mm
 from studies.low_cost.targets import REFERENCE
+from studies.sphere_errors import LARGEST_FEED_ERROR
 
 FILE = "preparation.json"
 SCANNER_KEY = "low-cost scanner"  # of random numbers
-# Of the table feed: half of what quality control usually allows, 1 mm over the field of a head (250 mm).
-LARGEST_FEED_ERROR = 1.0 / 500.0
 PIVOTS = 40
 PIVOT_TILT_RAD, PIVOT_TURN_RAD = math.radians(30.0), math.radians(40.0)
 DIVOT_FROM_CENTRE_MM = (120.0, 40.0, 40.0)

@@ -33,6 +33,7 @@ from sim.world.scene.model import ArmTruth, LinkError, Mount, Scene, TrackerTrut
 from sim.world.scene.named_scenes import add_patient_frame, draw_scene, robot_frame
 from sim.world.true_arm import JointChain, TrueArm
 from studies.low_cost.targets import REFERENCE
+from studies.sphere_errors import GLUED_MM
 
 MODEL = ArmChoice.UR5.value
 SPHERES = 8
@@ -67,7 +68,7 @@ def draw_room(seed: int) -> Scene:
     head = drawn.head.model_copy(
         update={
             "robot_from_ct": pose_of(matrix_from(centre - turn @ np.array(CENTRE_CT_MM), turn)),
-            "seating_error_mm": 0.0,  # glued spheres
+            "seating_error_mm": GLUED_MM,
         }
     )
     backwards = np.array(TRACKER_DIRECTION) / np.linalg.norm(TRACKER_DIRECTION)

@@ -1,10 +1,11 @@
 """Localization strategies on arms identified as by `ronna-arm calibrate`, with the remaining errors.
 
-A trial is arm x position of the phantom x target x strategy x number of spheres, with a fine CT. Each arm is
-identified once, at the phantom's first position, and used at all positions. Identification measures the
-phantom's own spheres with the simulator's true arm, and uses the procedure's choice of poses and its fit. All
-is in this process, without protocols or images. The controller then uses the identified arm in place of the
-true one, including the side of its backlash on which each joint rests.
+A trial is arm x position of the phantom x target x strategy x number of spheres, which are as far off their
+places in the CT as in a case. Each arm is identified once, at the phantom's first position, and used at all
+positions. Identification measures the phantom's own spheres with the simulator's true arm, and uses the
+procedure's choice of poses and its fit. All is in this process, without protocols or images. The controller
+then uses the identified arm in place of the true one, including the side of its backlash on which each joint
+rests.
 """
 
 from __future__ import annotations
@@ -132,9 +133,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 }
                 for (strategy, count), each in errors.items()
             ],
-            f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm identified from {LOOKS} "
-            f"measurements of the phantom's spheres. {bounds.CAPTION}: of the mean, from the "
-            "scatter of the arms (Student).",
+            f"Set S, free spheres, {FINE_CT_MM} mm 3-D rms off their places, seating included. Each arm "
+            f"identified from {LOOKS} measurements of the phantom's spheres. {bounds.CAPTION}: of the mean, "
+            "from the scatter of the arms (Student).",
         ),
         Table.of(
             "Predicted and actual error",

@@ -12,7 +12,7 @@ from scipy.stats import wilcoxon
 from ronna_hw.arrays import Array
 from studies.accuracy.phantom import Markers, counts_of
 from studies.accuracy.random_arms import Source
-from studies.accuracy.scene import DIGITS, SCENARIOS
+from studies.accuracy.scene import DIGITS, FINE_CT_MM, SCENARIOS
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
 from studies.campaign.study import Cell, Sums, Table
@@ -33,7 +33,7 @@ from studies.strategies.study import (
 from studies.thesis_tables import TABLE_4, StrategyRow
 
 PAIRS = (("improved", "ocs"), ("improved", "jdms"), ("best", "ocs"), ("best", "improved"))
-PAIRED_SCENARIOS = ("set S", "tool and kinematics calibrated, fine CT")
+PAIRED_SCENARIOS = ("set S", "tool and kinematics calibrated, spheres as in a case")
 Series = tuple[str, str, int]  # markers, strategy, number of spheres
 # OCS in the thesis does not control the approach, so its table is compared with that.
 OF_TABLE_4 = {"nos": "NOS", "thesis-ocs": "OCS", "jdms": "JDMS"}
@@ -290,11 +290,12 @@ def _tabulate_scenarios(sums: Mapping[str, Sums]) -> Table:
         sum_mm = sum(value for key, value in one.items() if key.startswith(OF_ARM))
         rows.append([scenario, strategy, spheres, sum_mm / float(numbers.sum()), p99_mm])
     return Table(
-        "Calibrated arms and a fine CT",
+        "Calibrated arms, and spheres as in a case",
         ("scenario", "strategy", "spheres", "mean mm", "99 % below mm"),
         sorted(rows, key=lambda row: [one.name for one in SCENARIOS].index(str(row[0]))),
         "The same arms with smaller errors, free spheres. Calibrated: tool 0.1 mm per axis; links 0.06 mm and"
-        " 0.008 deg per axis, joint offsets 0.008 deg; the rest as in set S. Fine CT: 0.05 mm. Backlash"
+        " 0.008 deg per axis, joint offsets 0.008 deg; the rest as in set S. Spheres as in a case: off by"
+        f" {FINE_CT_MM} mm, 3-D rms, seating included. Backlash"
         " known: to 0.0015 deg, except for thesis-ocs, which does not control the approach.",
     )
 
