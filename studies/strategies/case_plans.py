@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,9 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, unit_errors
 from ronna_hw.frames import Transform
-from studies.accuracy.many_learned import PlannedAdjustment, TargetSources
+from studies.accuracy.many_learned import TargetSources
 from studies.accuracy.phantom import Phantom
-from studies.accuracy.postures import ARM, TOOL_MM, plan_candidates, plan_postures
+from studies.accuracy.postures import ARM, TOOL_MM, Postures, plan_candidates, plan_postures
 from studies.accuracy.random_arms import PlannedPoses
 from studies.accuracy.scene import AXES, BEST, FROM
 
@@ -124,9 +124,17 @@ class CasePlanner:
             self.robot_from_ct.apply(np.array([one.target_mm for one in self.phantom.trajectories]))
         )
 
+    @cached_property
+    def postures(self) -> dict[str, Postures]:
+        """Postures of all strategies but those made of them. Raises STU-010."""
+        return {
+            one: plan_postures(find_strategy(one), self.phantom, self.robot_from_ct, self.sizes)
+            for one in SEPARATE
+        }
+
     def separate(self, strategy: str) -> PlannedLooks:
         """Plan a strategy whose targets have looks of their own, or one set of looks. Raises STU-010."""
-        planned = plan_postures(find_strategy(strategy), self.phantom, self.robot_from_ct, self.sizes)
+        planned = self.postures[strategy]
         count = len(self.spheres_mm)
         numbers = np.arange(planned.sets * count)
         return PlannedLooks(
@@ -143,7 +151,7 @@ class CasePlanner:
 
     def candidates(self) -> PlannedLooks:
         """Plan the poses of all strategies at each target's free angle, all used for all. Raises STU-010."""
-        planned = plan_postures(find_strategy(FROM[0]), self.phantom, self.robot_from_ct, self.sizes)
+        planned = self.postures[FROM[0]]
         found, sides, draws = [], [], []
         for (kind, strategy), (target, trajectory) in product(
             enumerate(CANDIDATES), enumerate(planned.trajectories)
@@ -185,12 +193,12 @@ class CasePlanner:
         )
         return few.only(np.array(chosen.candidates, dtype=np.intp)).in_order()
 
-    def adjustment(
+    def sources(
         self, looks: PlannedLooks, used: NDArray[np.intp], targets: Sequence[int]
-    ) -> PlannedAdjustment:
-        """Prepare the registration of targets by the looks that they share."""
+    ) -> tuple[Array, list[TargetSources]]:
+        """Return the points (m, 3) mm of the looks that targets share, and the sources at each target."""
         points = self.spheres_mm[looks.spheres[used]]
-        return PlannedAdjustment.of(points, [self._sources(looks, used, target) for target in targets])
+        return points, [self._sources(looks, used, target) for target in targets]
 
     def _sources(self, looks: PlannedLooks, used: NDArray[np.intp], target: int) -> TargetSources:
         spheres = looks.spheres[used]
@@ -221,7 +229,7 @@ def join(chosen: Sequence[PlannedLooks]) -> PlannedLooks:
         np.concatenate([one.arrival for one in parts]),
         np.concatenate([one.spheres for one in parts]),
         tuple((0, target) for target, one in enumerate(parts) for _ in one.spheres),
-        tuple(np.arange(start, end) for start, end in zip(ends[:-1], ends[1:], strict=True)),
+        tuple(np.arange(start, end) for start, end in pairwise(ends)),
         PlannedPoses.of(ARM, TOOL_MM, joints),
         np.concatenate([one.target_arrival[[target]] for target, one in enumerate(chosen)]),
     )

@@ -11,8 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from itertools import product
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
@@ -23,7 +22,7 @@ from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.registration.rigid_fit import fit_rigid, residuals
 from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
-from studies.accuracy.many_learned import PlannedAdjustment
+from studies.accuracy.many_learned import PlainRegistration, PlannedAdjustment
 from studies.accuracy.phantom import FREE_SPHERES, Markers, Phantom, counts_of, draw_phantom, phantom_pose
 from studies.accuracy.postures import ARM
 from studies.accuracy.random_arms import PlannedPoses, RandomArms, centre_on_spheres, reach_positions
@@ -93,7 +92,7 @@ class LearningStudy(Study):
         return dict(found)
 
 
-@lru_cache(maxsize=4)
+@cache
 def reached_cases(place: int, first_trajectory: int) -> tuple[tuple[Phantom, ...], int]:
     """Draw the trajectories of a place that every strategy reaches, by case, and count those passed over."""
     drawn = draw_phantom(Markers.FREE, DEPTHS_MM, DRAWN)
@@ -101,8 +100,8 @@ def reached_cases(place: int, first_trajectory: int) -> tuple[tuple[Phantom, ...
     for trajectory in drawn.trajectories[first_trajectory:]:
         alone = replace(drawn, trajectories=(trajectory,))
         try:
-            for scenario, strategy in product(SCENARIOS.values(), SEPARATE):
-                _planner(scenario, alone, place).separate(strategy)
+            for scenario in SCENARIOS.values():
+                _ = _planner(scenario, alone, place).postures
         except RonnaError:
             passed_over += 1
             continue
@@ -163,7 +162,7 @@ class CaseDraws:
     def displaced(
         self, poses: PlannedPoses, points_mm: Array, moved_s: Array, bumped: Array
     ) -> DisplacedArms:
-        """Place the arms at poses (p,) with their effects; `bumped` (a, p) marks the flange bumped by then."""
+        """Place the arms at poses (p,) with their effects; `bumped` (a, p) marks a flange bumped by then."""
         shifts_rad, shifts_mm = [], []
         for one, flags in zip(self.effects, bumped, strict=True):
             shifts_rad.append(one.shift_rad(ARM.chain, poses.joints_rad, points_mm, moved_s))
@@ -189,8 +188,7 @@ class Prepared:
 
     looks: PlannedLooks
     seconds: Array
-    registrations: tuple[tuple[tuple[int, ...], NDArray[np.intp], PlannedAdjustment], ...]
-    learns: bool
+    registrations: tuple[tuple[tuple[int, ...], NDArray[np.intp], PlannedAdjustment | PlainRegistration], ...]
 
     @classmethod
     def of(cls, planner: CasePlanner, looks: PlannedLooks, *, learns: bool) -> Prepared:
@@ -199,11 +197,11 @@ class Prepared:
         shared: dict[tuple[int, ...], list[int]] = defaultdict(list)
         for target, used in enumerate(ordered.used):
             shared[tuple(used.tolist())].append(target)
-        registrations = []
+        kind, registrations = PlannedAdjustment if learns else PlainRegistration, []
         for key, targets in shared.items():
             used = np.array(key, dtype=np.intp)
-            registrations.append((tuple(targets), used, planner.adjustment(ordered, used, targets)))
-        return cls(ordered, ordered.seconds, tuple(registrations), learns)
+            registrations.append((tuple(targets), used, kind.of(*planner.sources(ordered, used, targets))))
+        return cls(ordered, ordered.seconds, tuple(registrations))
 
 
 @dataclass(frozen=True)
@@ -268,11 +266,10 @@ class Bench:
         targets_ct = np.array([one.target_mm for one in planner.phantom.trajectories])
         places, limits_mm = np.empty((cases, targets, AXES)), np.empty((cases, targets))
         is_unlike = np.zeros((cases, targets), dtype=bool)
-        for group, used, adjustment in prepared.registrations:
+        for group, used, registration in prepared.registrations:
             seen, there = image[:, looks.spheres[used]], recorded[:, used]
             fit = fit_rigid(seen, there)
-            left = residuals(fit, seen, there)
-            judged = adjustment.learn(left) if prepared.learns else adjustment.judge_plain(left)
+            judged = registration.judge(residuals(fit, seen, there))
             mapped = np.einsum("aij,tj->ati", fit.rotation, targets_ct[list(group)])
             places[:, group] = mapped + fit.translation_mm[:, None] + judged.shifts_mm
             limits_mm[:, group] = judged.limits_mm()
@@ -292,8 +289,8 @@ class Bench:
 def _predicted_mm2(prepared: Prepared) -> Array:
     """Return the predicted mean square error (t,) at each target."""
     found = np.empty(len(prepared.looks.used))
-    for group, _, adjustment in prepared.registrations:
-        found[list(group)] = np.trace(adjustment.plain_mm2, axis1=1, axis2=2)
+    for group, _, registration in prepared.registrations:
+        found[list(group)] = np.trace(registration.covariances_mm2, axis1=1, axis2=2)
     return found
 
 
