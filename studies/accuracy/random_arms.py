@@ -102,19 +102,20 @@ class RandomArms:
             repeatability_mm=self.repeatability_mm * (source is Source.REST),
         )
 
-    def times(self, factor: float) -> RandomArms:
-        """Return arms with all systematic errors larger by a factor."""
+    def times(self, factors: Array) -> RandomArms:
+        """Return arms with all systematic errors larger by a factor (a,) each."""
         turns = Rotation.from_matrix(self.link_rotation.reshape(-1, 3, 3)).as_rotvec()
-        larger = Rotation.from_rotvec(factor * turns).as_matrix()
+        larger = Rotation.from_rotvec(np.repeat(factors, len(self.chain.joints))[:, None] * turns).as_matrix()
+        flat, deep = factors[:, None], factors[:, None, None]
         return replace(
             self,
-            tool_error_mm=factor * self.tool_error_mm,
-            link_translation_mm=factor * self.link_translation_mm,
+            tool_error_mm=flat * self.tool_error_mm,
+            link_translation_mm=deep * self.link_translation_mm,
             link_rotation=larger.reshape(self.link_rotation.shape),
-            joint_offset_rad=factor * self.joint_offset_rad,
-            harmonics_rad=factor * self.harmonics_rad,
-            sag_rad=factor * self.sag_rad,
-            backlash_rad=factor * self.backlash_rad,
+            joint_offset_rad=flat * self.joint_offset_rad,
+            harmonics_rad=deep * self.harmonics_rad,
+            sag_rad=flat * self.sag_rad,
+            backlash_rad=flat * self.backlash_rad,
         )
 
     def tool_points_mm(self, joints_rad: Array, flanks: Array) -> Array:

@@ -39,7 +39,7 @@ LIMITS = working_limits(ARM)
 
 @dataclass(frozen=True)
 class PlannedLooks:
-    """Looks (m,) of a case: joints, side of the backlash and sphere of each, and the random draw that it gets.
+    """Looks (m,) of a case: joints, side of the backlash and sphere of each, and its random draw.
 
     `used` are the looks by which each target is registered.
     """

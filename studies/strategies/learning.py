@@ -27,7 +27,7 @@ from studies.accuracy.phantom import FREE_SPHERES, Markers, Phantom, counts_of, 
 from studies.accuracy.postures import ARM
 from studies.accuracy.random_arms import PlannedPoses, RandomArms, centre_on_spheres, reach_positions
 from studies.accuracy.scene import AXES, BEST, FINE_CT_MM, FROM, Scenario
-from studies.accuracy.unmodelled_effects import DisplacedArms, DrawnEffect, Effect
+from studies.accuracy.unmodelled_effects import DisplacedArms, DrawnEffect, Effect, load_levers
 from studies.campaign.study import Study, Sums, Unit, blocks_of_each
 from studies.strategies.case_plans import (
     LEARNING,
@@ -54,6 +54,13 @@ PER_PLACE, PER_CASE = 1_000_000, 10_000  # of the arms' numbers
 REFUSAL = 0.999  # confidence of the limit of the residual
 DIGITS = 4
 SIZES, EFFECTS = "sizes", "effects"
+# Every case is run under each: name, size of the arm's errors by that stated, effect.
+CONDITIONS = (
+    *((f"{SIZES}|{share:g}", share, Effect.NOTHING) for share in SHARES),
+    *((f"{EFFECTS}|{effect}", 1.0, effect) for effect in Effect if effect is not Effect.NOTHING),
+)
+# Share of the looks before a bump that is before or after all of them.
+BUMPED_FROM = {Effect.BUMP_BEFORE: 0.0, Effect.BUMP_AFTER: 2.0}
 PASSED_OVER, ERROR, RESIDUAL, GAUGE = "passed over", "error ", "residual", "gauge"
 
 
@@ -83,12 +90,8 @@ class LearningStudy(Study):
         for case, phantom in enumerate(groups):
             bench = Bench.of(kind, int(place), phantom)
             first = int(place) * PER_PLACE + case * PER_CASE + unit.block * BLOCK_ARMS
-            draws = CaseDraws.of(self.seed, range(first, first + unit.runs), SCENARIOS[kind])
-            for share in SHARES:
-                bench.run(draws.with_effect(Effect.NOTHING, share), f"{SIZES}|{share:g}", found)
-            for effect in Effect:
-                if effect is not Effect.NOTHING:
-                    bench.run(draws.with_effect(effect), f"{EFFECTS}|{effect}", found)
+            numbers = range(first, first + unit.runs)
+            bench.run(CaseDraws.of(self.seed, numbers, SCENARIOS[kind]), found)
         return dict(found)
 
 
@@ -121,51 +124,62 @@ def _planner(scenario: Scenario, phantom: Phantom, place: int) -> CasePlanner:
 
 @dataclass(frozen=True)
 class CaseDraws:
-    """Arms of `a` cases with an effect each, and their random errors."""
+    """Cases of `a` arms, each under one condition, and their random errors with unit standard deviation."""
 
+    conditions: tuple[str, ...]
+    numbers: tuple[int, ...]
     arms: RandomArms
     effects: tuple[DrawnEffect, ...]
-    ct: Array  # (a, n, 3) with unit standard deviation, like the next three
+    bumped_from: Array  # (a,) share of the looks before a bump
+    ct: Array  # (a, n, 3)
     looks: Array  # (a, kinds, t, n, 3)
     rest: Array  # (a, t, 3)
     gauge: Array  # (a, t + 1, 3)
-    bumped_from: Array  # (a,) share of the looks before a bump
-    seed: int
-    numbers: range
 
     @classmethod
-    def of(cls, seed: int, numbers: range, scenario: Scenario) -> CaseDraws:
-        """Draw the numbered cases. Strategies share the draws, so they are compared on equal terms."""
+    def of(cls, seed: int, numbers: Sequence[int], scenario: Scenario) -> CaseDraws:
+        """Draw the numbered cases under all conditions.
+
+        Conditions and strategies share the draws, so they are compared on equal terms.
+        """
         rows = []
         for number in numbers:
             random = np.random.default_rng(np.random.SeedSequence([seed, NOISE_KEY, number]))
             rows.append(
                 (
+                    random.uniform(),
                     random.normal(size=(FREE_SPHERES, AXES)),
                     random.normal(size=(len(FROM), TARGETS_OF_CASE, FREE_SPHERES, AXES)),
                     random.normal(size=(TARGETS_OF_CASE, AXES)),
                     random.normal(size=(TARGETS_OF_CASE + 1, AXES)),
-                    random.uniform(),
                 )
             )
-        ct, looks, rest, gauge, bumped = (np.array(column) for column in zip(*rows, strict=True))
-        arms = scenario.scale(RandomArms.draw(seed, numbers), "ocs")
-        return cls(arms, (), ct, looks, rest, gauge, bumped, seed, numbers)
-
-    def with_effect(self, effect: Effect, share: float = 1.0) -> CaseDraws:
-        """Give the arms an effect, and errors of this share of their sizes."""
-        effects = tuple(DrawnEffect.draw(effect, self.seed, number) for number in self.numbers)
-        share_before = {Effect.BUMP_BEFORE: 0.0, Effect.BUMP_AFTER: 2.0}.get(effect, self.bumped_from)
-        bumped = np.broadcast_to(share_before, self.bumped_from.shape)
-        return replace(self, arms=self.arms.times(share), effects=effects, bumped_from=bumped)
+        uniform, *normal = (np.array(column) for column in zip(*rows, strict=True))
+        every = [(condition, number) for condition in CONDITIONS for number in numbers]
+        repeated = [number for _, number in every]
+        drawn = scenario.scale(RandomArms.draw(seed, repeated), "ocs")
+        return cls(
+            tuple(name for (name, _, _), _ in every),
+            tuple(repeated),
+            drawn.times(np.array([share for (_, share, _), _ in every])),
+            tuple(DrawnEffect.draw(effect, seed, number) for (_, _, effect), number in every),
+            np.concatenate(
+                [
+                    np.full(len(numbers), BUMPED_FROM[effect]) if effect in BUMPED_FROM else uniform
+                    for _, _, effect in CONDITIONS
+                ]
+            ),
+            *(np.concatenate([one] * len(CONDITIONS)) for one in normal),
+        )
 
     def displaced(
         self, poses: PlannedPoses, points_mm: Array, moved_s: Array, bumped: Array
     ) -> DisplacedArms:
         """Place the arms at poses (p,) with their effects; `bumped` (a, p) marks a flange bumped by then."""
         shifts_rad, shifts_mm = [], []
+        levers = load_levers(ARM.chain, poses.joints_rad, points_mm)
         for one, flags in zip(self.effects, bumped, strict=True):
-            shifts_rad.append(one.shift_rad(ARM.chain, poses.joints_rad, points_mm, moved_s))
+            shifts_rad.append(one.shift_by_load_rad(poses.joints_rad, levers, moved_s))
             shifts_mm.append(one.shift_mm(moved_s) + flags[:, None] * (poses.rotations @ one.bump_mm))
         return DisplacedArms.at(self.arms, np.array(shifts_rad), np.array(shifts_mm))
 
@@ -230,23 +244,26 @@ class Bench:
             prepared[LEARNING, count] = Prepared.of(planner, learning, learns=True)
         return cls(planner, prepared)
 
-    def run(self, draws: CaseDraws, part: str, found: Sums) -> None:
+    def run(self, draws: CaseDraws, found: Sums) -> None:
         """Run all strategies on the drawn cases and add what they reach to `found`."""
+        conditions = np.array(draws.conditions)
         for (strategy, count), prepared in self.prepared.items():
-            key = f"{part}|{strategy}|{count}"
             errors_mm, limits_mm, refused = self._try_looks(draws, prepared)
-            found[f"{key}|cases"] += len(draws.arms)
-            found[f"{key}|looks"] += len(draws.arms) * len(prepared.seconds)
-            found[f"{key}|seconds"] += len(draws.arms) * float(prepared.seconds[-1])
-            for by, is_refused in refused.items():
-                found[f"{key}|{by}"] += float(is_refused.sum())
             used = ~np.any(list(refused.values()), axis=0)
-            found[f"{key}|used"] += float(used.sum())
-            found[f"{key}|inside"] += float((used & (errors_mm <= limits_mm)).sum())
-            found[f"{key}|limit"] += float((used * limits_mm).sum())
-            for arm, target in np.argwhere(used):
-                name = f"{ERROR}{draws.numbers[arm]}.{target + 1}"
-                found[f"{key}|{name}"] = round(float(errors_mm[arm, target]), DIGITS)
+            for condition in dict.fromkeys(draws.conditions):
+                key, here = f"{condition}|{strategy}|{count}", conditions == condition
+                cases, counted = int(here.sum()), used & here[:, None]
+                found[f"{key}|cases"] += cases
+                found[f"{key}|looks"] += cases * len(prepared.seconds)
+                found[f"{key}|seconds"] += cases * float(prepared.seconds[-1])
+                for by, is_refused in refused.items():
+                    found[f"{key}|{by}"] += float(is_refused[here].sum())
+                found[f"{key}|used"] += float(counted.sum())
+                found[f"{key}|inside"] += float((counted & (errors_mm <= limits_mm)).sum())
+                found[f"{key}|limit"] += float((counted * limits_mm).sum())
+                for arm, target in np.argwhere(counted):
+                    name = f"{ERROR}{draws.numbers[arm]}.{target + 1}"
+                    found[f"{key}|{name}"] = round(float(errors_mm[arm, target]), DIGITS)
 
     def _try_looks(
         self, draws: CaseDraws, prepared: Prepared
