@@ -103,8 +103,8 @@ def reached_cases(place: int, first_trajectory: int) -> tuple[tuple[Phantom, ...
     for trajectory in drawn.trajectories[first_trajectory:]:
         alone = replace(drawn, trajectories=(trajectory,))
         try:
-            for scenario in SCENARIOS.values():
-                _ = _planner(scenario, alone, place).postures
+            for kind in SCENARIOS:
+                _ = plan_case(kind, alone, place).postures
         except RonnaError:
             passed_over += 1
             continue
@@ -118,7 +118,9 @@ def reached_cases(place: int, first_trajectory: int) -> tuple[tuple[Phantom, ...
     )
 
 
-def _planner(scenario: Scenario, phantom: Phantom, place: int) -> CasePlanner:
+def plan_case(kind: str, phantom: Phantom, place: int) -> CasePlanner:
+    """Return the planner of a case with arms of one kind, `uncalibrated` or `calibrated`."""
+    scenario = SCENARIOS[kind]
     return CasePlanner(phantom, phantom_pose(place), scenario.remaining_errors("ocs"), scenario.ct_mm)
 
 
@@ -228,7 +230,7 @@ class Bench:
     @classmethod
     def of(cls, kind: str, place: int, phantom: Phantom) -> Bench:
         """Plan and prepare all strategies."""
-        planner = _planner(SCENARIOS[kind], phantom, place)
+        planner = plan_case(kind, phantom, place)
         planned = {strategy: planner.separate(strategy) for strategy in SEPARATE}
         candidates, prepared = planner.candidates(), {}
         for count in counts_of(Markers.FREE):
