@@ -203,7 +203,7 @@ def reached_lines(
     """Return the line of each reached trajectory; None where the work was finished on an earlier visit."""
     set_up = _last(run, CheckedSetUp)
     tool = None if plan is None or set_up is None else set_up.tools.get(plan.plan.tool)
-    poses = {name: one.result.robot_from_ct.transform for one in registrations for name in one.targets}
+    poses = {name: one.result.robot_from_ct_at(name) for one in registrations for name in one.targets}
     lines: dict[str, trajectory_lines.TrajectoryLine | None] = {}
     for one in results_of(ReachedTarget, run.valid_records):
         name, pose, stop = one.record.trajectory, one.result.tool_pose, one.result.depth_stop

@@ -197,7 +197,9 @@ def _find_total_covariances_mm2(run: Inspection) -> dict[tuple[str, int], Any]:
     for stored in results_of(RegisteredRobot, run.records):
         left_out = {one.fiducial for one in stored.result.left_out_spheres}
         for identifier in localizations.keys() & stored.record.parents.keys():
-            used = [one for one in localizations[identifier].fiducials if one not in left_out]
+            learned = stored.result.learned
+            looked = localizations[identifier].fiducials if learned is None else learned.fiducials
+            used = [one for one in looked if one not in left_out]
             covariances = stored.result.covariances_mm2 or [UNKNOWN_COVARIANCE] * len(used)
             pairs = zip(used, covariances, strict=True)
             found |= {(identifier, fiducial): covariance for fiducial, covariance in pairs}

@@ -295,6 +295,7 @@ def _check_arm(
         find_alternatives,
         find_unreached,
     )
+    from procedures.planning.learning_looks import choose_learning_looks
     from procedures.planning.motions import preview_motions
     from procedures.planning.paths import check_axes
     from procedures.planning.target_error import choose_best_strategies
@@ -308,6 +309,7 @@ def _check_arm(
     else:
         arm = choose_best_strategies(arm, trajectories, fiducials, sight)
         turned = choose_free_angles(arm, trajectories, fiducials, sight)
+        turned = choose_learning_looks(arm, turned, fiducials, sight)
     if not turned.check.passed:
         alternatives: dict[str, tuple[Strategy, ...]] = {}
         if sight is not None and len(fiducials):

@@ -23,14 +23,17 @@ from procedures.planning.guide import (
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
+from procedures.planning.learning_looks import look_sides
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, PathCheck, Reached
+from procedures.registration.arm_learning import best_influence, share_by_sphere
 from procedures.registration.target_prediction import (
     IndependentErrors,
     SharedErrors,
     TargetPrediction,
+    predict_by_influence,
     predict_target_error,
 )
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach
@@ -44,6 +47,7 @@ if TYPE_CHECKING:
 SCAN = "scan as a whole"
 SEATING = "seating of the spheres"
 FUSION = "fusion"
+OF_SPHERES = ("CT", SEATING)  # of a sphere, however often it is looked at
 USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
 
 
@@ -106,11 +110,19 @@ def predict_with_arm(
         scan_errors(deformation, spheres_ct_mm, planned.target_mm, rotation),
         _seating_errors(len(sphere_visits), theatre.seating_error_mm),
         *fusion_errors(planned.fusion_error_mm, len(sphere_visits)),
-        *arm_error_sources(setting, sphere_visits, target, tip_mm),
+        *arm_error_sources(setting, check, identifier, tip_mm),
         *_guide_errors(theatre, plan, planned, target, zero),
         *(IndependentErrors(name, zero, np.eye(3) * rms**2 / 3.0) for name, rms in theatre.at_target_mm),
     ]
-    return predict_target_error(spheres, tip_mm, sources)
+    if not setting.strategy.learns_arm:
+        return predict_target_error(spheres, tip_mm, sources)
+    shared = [
+        share_by_sphere(one, fiducials)
+        if isinstance(one, IndependentErrors) and one.source in OF_SPHERES
+        else one
+        for one in sources
+    ]
+    return predict_by_influence(best_influence(spheres, tip_mm, shared), shared)
 
 
 def select_poses(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
@@ -122,14 +134,19 @@ def select_poses(setting: ArmSetting, check: PathCheck, identifier: str) -> tupl
 
 
 def arm_error_sources(
-    setting: ArmSetting, sphere_visits: Sequence[Reached], target: Reached, tip_mm: Array
+    setting: ArmSetting, check: PathCheck, identifier: str, tip_mm: Array
 ) -> tuple[SharedErrors | IndependentErrors, ...]:
     """Return the arm and tool frame errors between localizations and a tip (3,) mm, robot frame.
 
     If a strategy does not control the approach, the side of backlash on which a joint rests is unknown.
     """
+    sphere_visits, target = select_poses(setting, check, identifier)
     target_pose = (setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)
-    at_spheres = np.array([arrival_signs(*target_pose)] * len(sphere_visits), dtype=float)
+    if setting.strategy.learns_arm:
+        names = [one.visit.name.trajectory for one in sphere_visits]
+        at_spheres = np.array(look_sides(setting, check.targets, names), dtype=float)
+    else:
+        at_spheres = np.array([arrival_signs(*target_pose)] * len(sphere_visits), dtype=float)
     at_target = np.array([rest_sides(*target_pose, target.visit.approach_mm)], dtype=float)
     return arm_sources(
         setting.kinematics.chain,
@@ -192,7 +209,8 @@ def predict_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Traj
     Evaluated at the instrument's tip, wherever on the axis the guide is held. Errors of CT and stereo head do
     not depend on the orientation.
     """
-    sphere_visits, target = select_poses(setting, check, trajectory.identifier)
+    sphere_visits, _ = select_poses(setting, check, trajectory.identifier)
     spheres = np.array([one.visit.pose.translation_mm for one in sphere_visits])
     tip = np.asarray(setting.robot_from_ct.apply(trajectory.target_mm))
-    return predict_target_error(spheres, tip, arm_error_sources(setting, sphere_visits, target, tip)).rms_mm
+    sources = arm_error_sources(setting, check, trajectory.identifier, tip)
+    return predict_target_error(spheres, tip, sources).rms_mm

@@ -108,6 +108,11 @@ class PathCheck:
         angles = [joints for one in self.reached for joints in (one.approach_rad, one.at_rad)]
         return tuple((min(axis), max(axis)) for axis in zip(*angles, strict=True))
 
+    @property
+    def targets(self) -> tuple[Reached, ...]:
+        """Visits of the targets."""
+        return tuple(one for one in self.reached if one.visit.name.kind is PoseKind.TARGET)
+
     def at(self, name: PoseName) -> Reached:
         """Return the visit of this pose; raises KeyError."""
         for one in self.reached:

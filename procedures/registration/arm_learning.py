@@ -10,9 +10,9 @@ this very target. It is universal kriging with the arm's own error columns as co
 1969; Rasmussen and Williams, Gaussian processes for machine learning, 2006, section 2.7).
 
 The arm's record states how large its errors are; a particular arm has smaller or larger ones, and some that
-its model lacks. Both are hypotheses: a share of the stated sizes, and a scatter from pose to pose. Each has the
-likelihood of the residuals under it (restricted: the pose is integrated out). Correction and covariance are
-means over all hypotheses, and the covariance includes that their corrections differ.
+its model lacks. Both are hypotheses: a share of the stated sizes, and a scatter from pose to pose. Each has
+the likelihood of the residuals under it (restricted: the pose is integrated out). Correction and covariance
+are means over all hypotheses, and the covariance includes that their corrections differ.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from typing import Self
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.spatial.transform import Rotation
 
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import (
@@ -35,10 +34,11 @@ from procedures.registration.target_prediction import (
     ResidualCheck,
     SharedErrors,
     TargetPrediction,
+    UnnoticedPoint,
+    find_worst_displacement,
     predict_by_influence,
 )
 from ronna_hw.arrays import Array
-from ronna_hw.frames import Transform
 
 Source = SharedErrors | IndependentErrors
 
@@ -64,17 +64,6 @@ class Looks:
     points_mm: Array
     arm: Sequence[Source]
     others: Sequence[Source]
-
-    def without(self, looks: Sequence[int]) -> Self:
-        """Return all other looks."""
-        kept = np.setdiff1d(np.arange(len(self.points_mm)), looks)
-        return replace(
-            self,
-            residuals_mm=self.residuals_mm[kept],
-            points_mm=self.points_mm[kept],
-            arm=[_at_looks(one, kept) for one in self.arm],
-            others=[_at_looks(one, kept) for one in self.others],
-        )
 
 
 def share_by_sphere(source: IndependentErrors, spheres: Sequence[int]) -> SharedErrors:
@@ -127,16 +116,16 @@ class ArmLearning:
     looks: Looks
     probabilities: Array
     chi_squares: Array  # (h,) of the residuals, 3m - 6 degrees of freedom
-    pose_steps: Array  # (h, 6)
-    weights: Array  # (h, 3m, 3m) of the residuals, excluding what a pose explains
+    informations: Array  # (h, 3m, 3m) of the looks
+    weights: Array  # (h, 3m, 3m) the same of the residuals, excluding what a pose explains
 
     @classmethod
     def of(cls, looks: Looks) -> Self:
         """Adjust at least three looks at different spheres."""
         residuals, pose = looks.residuals_mm.reshape(-1), _pose_columns(looks.points_mm)
-        evidence, chi_squares, steps, weights = [], [], [], []
+        evidence, chi_squares, informations, weights = [], [], [], []
         for one in HYPOTHESES:
-            covariance = _covariance(one.sources(looks.arm, looks.others))
+            covariance = covariance_of(one.sources(looks.arm, looks.others))
             information = np.linalg.inv(covariance)
             normal = pose.T @ information @ pose
             weight = information - information @ pose @ np.linalg.solve(normal, pose.T @ information)
@@ -144,7 +133,7 @@ class ArmLearning:
             spread = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(normal)[1]
             evidence.append(-0.5 * (spread + chi_square))
             chi_squares.append(chi_square)
-            steps.append(np.linalg.solve(normal, pose.T @ information @ residuals))
+            informations.append(information)
             weights.append(weight)
         odds = np.array(evidence) + PRIOR
         probabilities = np.exp(odds - odds.max())
@@ -152,7 +141,7 @@ class ArmLearning:
             looks,
             probabilities / probabilities.sum(),
             np.array(chi_squares),
-            np.array(steps),
+            np.array(informations),
             np.array(weights),
         )
 
@@ -172,24 +161,54 @@ class ArmLearning:
         best = int(self.probabilities.argmax())
         return ResidualCheck(float(self.chi_squares[best]), self.looks.residuals_mm.size - 6)
 
-    def correct_pose(self, from_pose: Transform) -> Transform:
-        """Return the pose of the head, from the one that the residuals were taken from."""
-        step, centre = self.probabilities @ self.pose_steps, self.looks.points_mm.mean(axis=0)
-        turn = Rotation.from_rotvec(step[:3])
-        rigid = from_pose.rigid
-        moved = type(rigid).from_components(
-            turn.apply(rigid.translation - centre) + centre + step[3:], turn * rigid.rotation
-        )
-        return Transform(from_pose.target, from_pose.source, moved)
+    def spheres_mm(self, rows: Sequence[Sequence[int]]) -> tuple[Array, Array]:
+        """Return the true place (n, 3) mm of each sphere by its looks, and its covariance (n, 3, 3).
 
-    def arm_errors_mm(self) -> Array:
-        """Return the learned displacement (m, 3) of the tool from its assumed place, at every look."""
-        found = np.zeros(self.looks.residuals_mm.size)
-        residuals = self.looks.residuals_mm.reshape(-1)
-        shared = _covariance(self.looks.arm)
-        for one, probability, weight in zip(HYPOTHESES, self.probabilities, self.weights, strict=True):
-            found -= probability * one.share**2 * (shared @ (weight @ residuals))
-        return found.reshape(-1, AXES)
+        `rows` are the looks at each sphere. The covariance is that of the arm and of the looks themselves, with
+        the pose of the head given.
+        """
+        count, looks = len(rows), len(self.looks.points_mm)
+        mean = np.zeros((count, looks))
+        for number, own in enumerate(rows):
+            mean[number, list(own)] = 1.0 / len(own)
+        average = np.kron(mean, np.eye(AXES))
+        looked = (self.looks.residuals_mm + self.looks.points_mm).reshape(-1)
+        residuals, shared = self.looks.residuals_mm.reshape(-1), covariance_of(self.looks.arm)
+        apart = covariance_of([one for one in self.looks.others if isinstance(one, IndependentErrors)])
+        place, covariance = np.zeros(AXES * count), np.zeros((AXES * count, AXES * count))
+        found = (HYPOTHESES, self.probabilities, self.informations, self.weights)
+        for one, probability, information, weight in zip(*found, strict=True):
+            arm = one.share**2 * shared
+            lacking = one.scatter_mm**2 * np.eye(AXES * looks)
+            place += probability * (average @ (looked - arm @ (weight @ residuals)))
+            remaining = arm - arm @ information @ arm + apart + lacking
+            covariance += probability * (average @ remaining @ average.T)
+        blocks = covariance.reshape(count, AXES, count, AXES)
+        own_blocks = blocks[np.arange(count), :, np.arange(count)]
+        return place.reshape(-1, AXES), np.asarray(0.5 * (own_blocks + own_blocks.transpose(0, 2, 1)))
+
+    def find_unnoticed(
+        self,
+        rows: Sequence[Sequence[int]],
+        target_mm: Array,
+        sources: Sequence[Source],
+        limit: float,
+        most_mm: float,
+    ) -> UnnoticedPoint:
+        """Find the sphere whose displacement moves a target (3,) mm furthest with chi-square in its limit.
+
+        `rows` are the looks at each sphere, `sources` all errors under the stated sizes, `most_mm` bounds the
+        displacement. See `target_prediction.find_unnoticed_point`.
+        """
+        looks = len(self.looks.points_mm)
+        weight = np.einsum("h,hij->ij", self.probabilities, self.weights).reshape(looks, AXES, looks, AXES)
+        influence = best_influence(self.looks.points_mm, target_mm, sources)
+        return find_worst_displacement(
+            np.array([weight[list(own)][:, :, list(own)].sum(axis=(0, 2)) for own in rows]),
+            np.array([influence[list(own)].sum(axis=0) for own in rows]),
+            limit - self.residual.freedom,
+            most_mm,
+        )
 
     def at_target(self, target_mm: Array, arm: Sequence[Source], others: Sequence[Source]) -> LearnedTarget:
         """Correct and predict a target (3,) mm, given by the pose that the residuals were taken from.
@@ -213,7 +232,7 @@ class ArmLearning:
 def best_influence(points_mm: Array, target_mm: Array, sources: Sequence[Source]) -> Array:
     """Return the influence (m, 3, 3) of looks at points (m, 3) mm that predicts the target (3,) mm best."""
     pose, centre = _pose_columns(points_mm), points_mm.mean(axis=0)
-    information = np.linalg.inv(_covariance(sources))
+    information = np.linalg.inv(covariance_of(sources))
     common = _covariance_with_target(sources).T @ information
     at_target = pose_jacobian(target_mm, centre)
     normal = pose.T @ information @ pose
@@ -243,8 +262,8 @@ def _flat(influence: Array) -> Array:
     return influence.transpose(1, 0, 2).reshape(AXES, -1)
 
 
-def _covariance(sources: Sequence[Source]) -> Array:
-    """Return the covariance (3m, 3m) mm2 of all looks."""
+def covariance_of(sources: Sequence[Source]) -> Array:
+    """Return the covariance (3m, 3m) mm2 of all looks by these sources, at least one."""
     looks = _count_looks(sources[0])
     covariance = np.zeros((AXES * looks, AXES * looks))
     for one in sources:
@@ -280,7 +299,12 @@ def _scaled(source: Source, share: float) -> Source:
     )
 
 
-def _at_looks(source: Source, kept: Array) -> Source:
-    if isinstance(source, SharedErrors):
-        return replace(source, at_spheres_mm=source.at_spheres_mm[kept])
-    return replace(source, at_spheres_mm2=source.at_spheres_mm2[kept])
+def at_looks(sources: Sequence[Source], rows: Sequence[int]) -> list[Source]:
+    """Return the sources at some of the looks only."""
+    kept = list(rows)
+    return [
+        replace(one, at_spheres_mm=one.at_spheres_mm[kept])
+        if isinstance(one, SharedErrors)
+        else replace(one, at_spheres_mm2=one.at_spheres_mm2[kept])
+        for one in sources
+    ]

@@ -21,9 +21,9 @@ from ronna_hw.arrays import Array
 AXES = 3
 # Of the pose before any look: nothing is known of it. Far above any coarse registration.
 POSE_SD = (*[0.05] * 3, *[20.0] * 3)  # rad, mm
-# A look that lowers the rms error at the targets by less for its seconds is not taken. (U) At 5 s a look, 2.5
+# A look that lowers the rms error at the targets by less for its seconds is not taken. (U) At 5 s a look, 1.5
 # micrometres.
-LEAST_GAIN_MM_PER_S = 0.0005
+LEAST_GAIN_MM_PER_S = 0.0003
 
 
 @dataclass(frozen=True)

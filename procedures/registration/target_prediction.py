@@ -242,13 +242,27 @@ def find_unnoticed_point(
     Arguments as in `chi_square_of_shared`; `weights` (n, 3, 3) are those of the fit. The expected chi-square
     is then the limit: freedom plus what the displacement alone adds. Every direction is tried.
     """
-    directions = _directions()
     count = len(fiducials_mm)
     information = _information(fiducials_mm, covariance_mm2, shared_mm).reshape(count, 3, count, 3)
     spare = gate.chi_square_limit - degrees_of_freedom(count)
+    influences = influence_of_spheres(fiducials_mm, target_mm, weights)
+    return find_worst_displacement(
+        information[np.arange(count), :, np.arange(count)], influences, spare, largest_mm
+    )
+
+
+def find_worst_displacement(
+    information: Array, influences: Array, spare: float, largest_mm: float
+) -> UnnoticedPoint:
+    """Find the worst displacement of one of n points that adds no more than `spare` to chi-square.
+
+    `information` (n, 3, 3) is how much a displacement of each point adds, `influences` (n, 3, 3) its effect
+    on the target.
+    """
+    directions = _directions()
     worst = UnnoticedPoint(0, 0.0, 0.0)
-    for index, influence in enumerate(influence_of_spheres(fiducials_mm, target_mm, weights)):
-        sensitivity = np.einsum("ki,ij,kj->k", directions, information[index, :, index], directions)
+    for index, (adds, influence) in enumerate(zip(information, influences, strict=True)):
+        sensitivity = np.einsum("ki,ij,kj->k", directions, adds, directions)
         displaced = np.minimum(largest_mm, np.sqrt(spare / np.maximum(sensitivity, spare / largest_mm**2)))
         shift = displaced * np.linalg.norm(directions @ influence.T, axis=1)
         if shift.max() > worst.at_target_mm:

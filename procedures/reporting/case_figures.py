@@ -74,7 +74,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
     reading = read_for_report(folder, every_file=every_file)
     coarse, tracked = reading.find(Correspondence), reading.find(GlobalLocalization)
     registered = _currently_valid(reading, RegisteredRobot)
-    poses = {name: one.robot_from_ct.transform for one in registered for name in one.trajectories}
+    poses = {name: one.robot_from_ct_at(name) for one in registered for name in one.trajectories}
     latest = registered[-1].robot_from_ct.transform if registered else None
     pose = latest or (coarse.robot_from_ct.transform if coarse else None)
     plan = reading.find(CheckedPlan)

@@ -166,7 +166,7 @@ class RunArrays:
 
     def robot_from_ct(self, target: str) -> Transform:
         """Return the registration used for a target. Raises EXC-005 if it has none."""
-        return self._find_registration(target).result.robot_from_ct.transform
+        return self._find_registration(target).result.robot_from_ct_at(target)
 
     def registration(self, target: str) -> RegistrationInCt:
         """Return the registration used for a target and its spheres in the CT. Raises EXC-005."""

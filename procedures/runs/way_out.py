@@ -116,7 +116,7 @@ def find_guide_axis(engine: Engine) -> tuple[InsertionAxis, float] | None:
         is_positioned_there = key.name == PositionedGuide.kind and key.trajectory in paths.result.targets
         if not is_positioned_there or registered is None:
             continue
-        insertion = insertion_for(engine.context(key), registered.result.robot_from_ct.transform)
+        insertion = insertion_for(engine.context(key), registered.result.robot_from_ct_at(key.trajectory))
         try:
             insertion.check_on_axis(tool)
         except TipOffAxis:
@@ -187,11 +187,12 @@ def _find_guide_registration(engine: Engine) -> _GuideRegistration | None:
     for key in keys:
         registered = case.find(RegisteredRobot, key.trajectory)
         if registered is not None and registered.record.identifier not in case.finished_before_move:
-            return _GuideRegistration(key, registered.result.robot_from_ct.transform, is_valid=True)
+            pose = registered.result.robot_from_ct_at(key.trajectory)
+            return _GuideRegistration(key, pose, is_valid=True)
     made = [record for record in case.records if record.kind == RegisteredRobot.kind]
     for record in reversed(made):
         for key in keys:
             if record.trajectory in (None, key.trajectory):
                 former = parse_record(record, RegisteredRobot)
-                return _GuideRegistration(key, former.robot_from_ct.transform, is_valid=False)
+                return _GuideRegistration(key, former.robot_from_ct_at(key.trajectory), is_valid=False)
     return None

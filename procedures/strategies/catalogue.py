@@ -8,7 +8,11 @@ from dataclasses import dataclass, field, replace
 from numpy.typing import ArrayLike
 
 from procedures.strategies.errors import UNKNOWN_STRATEGY
-from procedures.strategies.fixed_orientation import NeutralOrientation, OrientationCorrection
+from procedures.strategies.fixed_orientation import (
+    LearningStrategy,
+    NeutralOrientation,
+    OrientationCorrection,
+)
 from procedures.strategies.joint_displacement import (
     ImprovedDisplacementMinimization,
     JointDisplacementMinimization,
@@ -40,6 +44,10 @@ class StrategyByTrajectory:
     @property
     def name(self) -> str:
         return self.usual.name
+
+    @property
+    def learns_arm(self) -> bool:
+        return self.usual.learns_arm
 
     @property
     def controls_approach(self) -> bool:
@@ -94,6 +102,7 @@ STRATEGIES: tuple[Strategy, ...] = (
     JointDisplacementMinimization(),
     ImprovedDisplacementMinimization(),
     BestOfEach(),
+    LearningStrategy(),
 )
 
 

@@ -71,3 +71,16 @@ class NeutralOrientation(OrientationCorrection):
         middle = robot_from_ct.apply(points.mean(axis=0))
         entry, target = robot_from_ct.inverse().apply([middle + LENGTH_MM * UP, middle]).tolist()
         return (Trajectory(NEUTRAL, tuple(entry), tuple(target)),)
+
+
+@dataclass(frozen=True)
+class LearningStrategy(OrientationCorrection):
+    """Strategy `learning`: the looks of a case estimate the arm's errors and the registration together.
+
+    Free angles are those of `ocs`. Its poses are candidates beside those of other strategies, see
+    `procedures.planning.learning_looks`.
+    """
+
+    name: str = "learning"
+    localizes_per_trajectory: bool = False
+    learns_arm: bool = True

@@ -14,5 +14,6 @@ STRATEGY_NAMES: Mapping[str, str] = MappingProxyType(
         "jdms": "joints turned least",
         "improved": "where the arm errs most nearly as at the target, for a calibrated arm",
         "best": "whichever of ocs, jdms and improved predicts the smallest error",
+        "learning": "poses of all of these, chosen to learn the arm's errors during the case",
     }
 )

@@ -104,6 +104,14 @@ class Strategy(Protocol):
         """
         ...
 
+    @property
+    def learns_arm(self) -> bool:
+        """Whether the looks are chosen among those of all strategies, and also estimate the arm's errors.
+
+        They then serve all targets, each with a correction of its own.
+        """
+        return False
+
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:

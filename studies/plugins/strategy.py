@@ -58,6 +58,11 @@ class PluginStrategy:
         return self._read_flag("localizes_per_trajectory")
 
     @property
+    def learns_arm(self) -> bool:
+        """A researcher's strategy registers each target by its own looks."""
+        return False
+
+    @property
     def controls_approach(self) -> bool:
         return self._read_flag("controls_approach")
 

@@ -77,6 +77,7 @@ def read_spheres(reading: RunReading, truth: Truth | None) -> Spheres:
 def _stereo_rows(reading: RunReading) -> Iterator[StereoRow]:
     for stored in reading.valid_results(Relocalization):
         fine = stored.result
-        columns = fine.fiducials, fine.looks, fine.residuals_mm, fine.ray_gaps_mm
-        for fiducial, looks, residuals_mm, ray_gap_mm in zip(*columns, strict=True):
-            yield StereoRow(stored.record.trajectory or "", fiducial + 1, looks, residuals_mm, ray_gap_mm)
+        axes = fine.axes or (stored.record.trajectory or "",) * len(fine.fiducials)
+        columns = axes, fine.fiducials, fine.looks, fine.residuals_mm, fine.ray_gaps_mm
+        for axis, fiducial, looks, residuals_mm, ray_gap_mm in zip(*columns, strict=True):
+            yield StereoRow(axis, fiducial + 1, looks, residuals_mm, ray_gap_mm)

@@ -26,7 +26,7 @@ from procedures.registration.error_theory import FreGate, chi_square_limit, degr
 from procedures.registration.errors import CollinearPoints
 from procedures.registration.point_registration import Registration
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import arriving
 from procedures.steps.clinical.results import Prediction
@@ -160,16 +160,19 @@ def predict_held_guide(
 
 
 def arm_errors(
-    context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, held: HeldGuide
+    context: StepContext, looks: Sequence[LocalizationPose], spheres_mm: Array, target: str, held: HeldGuide
 ) -> tuple[target_prediction.SharedErrors | target_prediction.IndependentErrors, ...]:
-    """Return the arm's errors at the planned sphere localizations (n, 3) mm, robot frame, and at a target."""
+    """Return the arm's errors at planned looks at spheres (n, 3) mm, robot frame, and at a target."""
     paths = context.result(CheckedPaths)
-    joints_rad = _planned_joints_rad(context, fiducials)
-    signs = arriving(context, paths)
-    sides = None if signs is None else np.array([signs] * len(joints_rad), dtype=float)
+    signs = [arriving(context, paths, one) for one in looks]
+    known = [one for one in signs if one is not None]
     return arm_sources(
         context.workcell.master.arm.kinematics.chain,
-        ArmPoses(joints_rad, spheres_mm, sides),
+        ArmPoses(
+            np.array([one.joints_rad for one in looks]),
+            spheres_mm,
+            np.array(known, dtype=float) if len(known) == len(looks) else None,
+        ),
         ArmPoses(
             np.array([held.joints_rad]),
             held.tip_mm[None],
@@ -180,32 +183,38 @@ def arm_errors(
     )
 
 
-def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm: Array) -> Array:
+def errors_at_looks(
+    context: StepContext, looks: Sequence[LocalizationPose], spheres_mm: Array
+) -> tuple[target_prediction.SharedErrors | target_prediction.IndependentErrors, ...]:
+    """Return the arm's errors at planned looks at spheres (n, 3) mm, robot frame, whatever the target."""
+    signs = np.array([arriving(context, context.result(CheckedPaths), one) for one in looks], dtype=float)
+    joints = np.array([one.joints_rad for one in looks])
+    return arm_sources(
+        context.workcell.master.arm.kinematics.chain,
+        ArmPoses(joints, spheres_mm, signs),
+        ArmPoses(joints[:1], spheres_mm[:1], signs[:1]),
+        ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm),
+        servo_mm=0.0,
+    )
+
+
+def unknown_sides_mm2(context: StepContext, looks: Sequence[LocalizationPose], spheres_mm: Array) -> Array:
     """Return the sphere covariances (n, 3, 3) mm2 due to a calibrated arm's backlash on unknown sides.
 
     The stated error of an uncalibrated arm includes it.
     """
-    arm = context.workcell.calibrations.arm
-    if arm is None or arriving(context, context.result(CheckedPaths)) is not None:
-        return np.zeros((len(fiducials), 3, 3))
+    arm, paths = context.workcell.calibrations.arm, context.result(CheckedPaths)
+    if arm is None or arriving(context, paths, looks[0]) is not None:
+        return np.zeros((len(looks), 3, 3))
     sizes = ErrorSizes.stated(context.setting.settings, arm)
     chain = context.workcell.master.arm.kinematics.chain
-    return backlash_mm2(chain, _planned_joints_rad(context, fiducials), spheres_mm, sizes)
+    return backlash_mm2(chain, np.array([one.joints_rad for one in looks]), spheres_mm, sizes)
 
 
-def _planned_joints_rad(context: StepContext, fiducials: Sequence[int]) -> Array:
-    """Return the joints (n, axes) of the planned localizations, rad."""
-    localizations = context.result(CheckedPaths).localizations_for(context.key.trajectory)
-    planned = {one.fiducial: one.joints_rad for one in localizations}
-    return np.array([planned[index] for index in fiducials])
-
-
-def sphere_displacements_mm(context: StepContext, fiducials: Sequence[int]) -> Array:
+def sphere_displacements_mm(context: StepContext, looks: Sequence[LocalizationPose]) -> Array:
     """Return sphere displacements (n, 3, 3) mm, robot frame, by one sigma of each tool frame error."""
-    planned = context.result(CheckedPaths).localizations_for(context.key.trajectory)
-    rotations = {one.fiducial: one.tool_pose.transform.rotation_matrix for one in planned}
     sizes = ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm)
-    return sizes.tool_mm * np.array([rotations[index] for index in fiducials])
+    return sizes.tool_mm * np.array([one.tool_pose.transform.rotation_matrix for one in looks])
 
 
 def budget_table(predicted: Prediction) -> Evidence:

@@ -19,6 +19,7 @@ from procedures.journal.results import FramedPose, StepResult, Values
 from procedures.operator.question import join_answers
 from procedures.planning import free_angle
 from procedures.planning.guide import place_guides
+from procedures.planning.learning_looks import choose_learning_looks, look_sides
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import RESERVE, PreviewedMotion, preview_motions
 from procedures.planning.pose_name import PoseKind, PoseName
@@ -139,6 +140,10 @@ class LocalizationPose(Values):
     tool_pose: FramedPose = Field(description="Pose robot <- tool with the tool centre on the sphere.")
     approach_rad: JointVector = Field(description="Joints where the approach along its axis begins.")
     joints_rad: JointVector = Field(description="Joints at the sphere.")
+    approach_signs: tuple[int, ...] | None = Field(
+        default=None,
+        description="With strategy `learning`: direction from which each joint arrives, +1 or -1.",
+    )
 
 
 class TargetPose(Values):
@@ -189,16 +194,17 @@ class CheckedPaths(StepResult, kind="path_check"):
     def strategy_of(self, trajectory: str) -> str:
         return self.replaced.get(trajectory, self.chosen.get(trajectory, self.strategy))
 
-    def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
-        """Return the localizations for a trajectory, or the only set for None if the strategy localizes once.
+    def looks_for(self, trajectory: str | None) -> tuple[tuple[str, LocalizationPose], ...]:
+        """Return the looks of `localizations_for`, each with its axis."""
+        axes = self.localizations if trajectory is None else (trajectory,)
+        return tuple((axis, one) for axis in axes for one in self.localizations[axis])
 
-        Raises KeyError if there are none for this trajectory, or several sets.
+    def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
+        """Return the localizations for a trajectory, or for None all of a strategy that registers once.
+
+        In the order in which they are taken. Raises KeyError if there are none for this trajectory.
         """
-        if trajectory is not None:
-            return self.localizations[trajectory]
-        if len(self.localizations) != 1:
-            raise KeyError(f"{len(self.localizations)} sets of localizations, one for each trajectory")
-        return next(iter(self.localizations.values()))
+        return tuple(one for _, one in self.looks_for(trajectory))
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
@@ -246,7 +252,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
             joint_ranges_rad=check.joint_ranges_rad,
             largest_move_rad=check.largest_turn_rad,
             motions=tuple(MotionPreview.of(motion) for motion in motions),
-            localizations=_build_localizations(check, matched),
+            localizations=_build_localizations(check, matched, setting),
             targets=_build_targets(check, setting),
             left_out=search.left_out,
         ),
@@ -271,16 +277,24 @@ def _describe_turns(turned: free_angle.TurnedPaths) -> str:
     return f"; {', '.join(turns)}" if turns else ""
 
 
-def _build_localizations(check: PathCheck, matched: list[int]) -> dict[str, tuple[LocalizationPose, ...]]:
+def _build_localizations(
+    check: PathCheck, matched: list[int], setting: ArmSetting
+) -> dict[str, tuple[LocalizationPose, ...]]:
     poses: dict[str, tuple[LocalizationPose, ...]] = {}
     for reached in check.reached:
         visit = reached.visit
         if visit.name.kind is PoseKind.FIDUCIAL and visit.name.fiducial is not None:
+            sides = (
+                look_sides(setting, check.targets, [visit.name.trajectory])[0]
+                if setting.strategy.learns_arm
+                else None
+            )
             pose = LocalizationPose(
                 fiducial=matched[visit.name.fiducial],
                 tool_pose=FramedPose.of(visit.pose),
                 approach_rad=reached.approach_rad,
                 joints_rad=reached.at_rad,
+                approach_signs=sides,
             )
             poses[visit.name.trajectory] = (*poses.get(visit.name.trajectory, ()), pose)
     return poses
@@ -334,7 +348,7 @@ class PathSearch:
                 setting = replace(setting, strategy=StrategyByTrajectory(setting.strategy, self.replaced))
             turned = free_angle.choose_free_angles(setting, remain, self.centres_mm, self.sight)
             if turned.check.passed:
-                return turned
+                return choose_learning_looks(setting, turned, self.centres_mm, self.sight)
             self._decide(turned.check, remain)
 
     def _decide(self, check: PathCheck, trajectories: Sequence[Trajectory]) -> None:

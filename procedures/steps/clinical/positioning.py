@@ -53,7 +53,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     context.result(MountedGuide)
     context.result(CheckedTool)
     mounted = workcell.master.mount.check(MountedTool.GUIDE)
-    robot_from_ct = _require_registration(context).robot_from_ct.transform
+    robot_from_ct = _require_registration(context).robot_from_ct_at(trajectory)
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
     standoff_mm = context.result(CheckedPlan).plan.standoff_mm

@@ -5,7 +5,7 @@ The residual of the fit is never shown as accuracy; the operator accepts the pre
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,14 +23,10 @@ from procedures.planning.guide import (
 )
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.planning.target_error import fusion_errors, scan_errors
-from procedures.registration import Registration, RoomPoint, TwoWayTable, register, verify_two_way
-from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
+from procedures.registration import Registration, RoomPoint, TwoWayTable, verify_two_way
+from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.target_prediction import (
-    IndependentErrors,
-    check_residuals,
-    predict_target_error,
-)
+from procedures.registration.target_prediction import IndependentErrors
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical import error_budget
 from procedures.steps.clinical.correspondence import Correspondence
@@ -47,59 +43,12 @@ from procedures.steps.clinical.results import (
     RegisteredRobot,
     Relocalization,
 )
+from procedures.steps.clinical.sphere_pairs import CT, SEATING, STEREO, Pairs, pairs_of
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
-from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit, format_distinct
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """Sphere pairs for the fit: CT index and position, room position, and covariances."""
-
-    fiducials: tuple[int, ...]
-    image_mm: Array
-    physical_mm: Array
-    ct_mm2: Array  # in the frame of the room, as all covariances here
-    seating_mm2: Array
-    stereo_mm2: Array
-    sides_mm2: Array  # of backlashes, where the strategy does not control them
-    tool_mm: Array  # what each standard deviation of the tool frame displaces
-
-    @property
-    def measured_mm2(self) -> Array:
-        return self.ct_mm2 + self.seating_mm2 + self.stereo_mm2 + self.sides_mm2
-
-    @classmethod
-    def of(cls, context: StepContext) -> _Pairs:
-        localization, fine = context.result(LocalizedFiducials), context.result(Relocalization)
-        rotation = context.result(Correspondence).robot_from_ct.transform.rotation_matrix
-        fiducials = list(fine.fiducials)
-        ct = np.array([localization.markers[index].covariance_mm2 for index in fiducials])
-        return cls(
-            fiducials=fine.fiducials,
-            image_mm=localization.centres_mm[fiducials],
-            physical_mm=fine.points_mm,
-            ct_mm2=rotation @ ct @ rotation.T,
-            seating_mm2=np.tile(
-                np.eye(3) * context.setting.settings.seating_error_mm**2, (len(fiducials), 1, 1)
-            ),
-            stereo_mm2=np.array(fine.covariances_mm2),
-            sides_mm2=error_budget.unknown_sides_mm2(context, fiducials, fine.points_mm),
-            tool_mm=error_budget.sphere_displacements_mm(context, fine.fiducials),
-        )
-
-    def without(self, place: int) -> _Pairs:
-        kept = [row for row in range(len(self.fiducials)) if row != place]
-        arrays = (getattr(self, one.name)[kept] for one in fields(self)[1:])
-        return _Pairs(tuple(self.fiducials[row] for row in kept), *arrays)
-
-    def gate(self, arm_mm: float) -> FreGate:
-        return error_budget.residual_gate(
-            self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm
-        )
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
@@ -108,13 +57,8 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     A repeat with the guide mounted means that the head has moved: the tracker measures the move.
     """
     plan = context.result(CheckedPlan)
-    arm_mm = arm_error_mm(context.setting.settings, context.workcell.calibrations.arm)
-    pairs, left_out_spheres = _select_agreeing_pairs(context, _Pairs.of(context), arm_mm)
-    fit = register(
-        pairs.image_mm,
-        pairs.physical_mm,
-        covariance_mm2=pairs.measured_mm2 + error_budget.arm_covariance_mm2(arm_mm),
-    )
+    pairs, left_out_spheres = _select_agreeing_pairs(context, pairs_of(context))
+    fit = pairs.fit
     fit.require_rotation()  # the residuals were judged before, with the errors that points share
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
     robot_from_ct, move = fit.between(Frame.ROBOT, Frame.CT), None
@@ -122,7 +66,8 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
         context.workcell.master.mount.identify()
     if context.workcell.master.tool is MountedTool.GUIDE:
         move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
-    predictions = tuple(predict_tip_error(context, fit, pairs, one, move) for one in trajectories)
+    predicted_tips = [predict_tip_error(context, pairs, one, move) for one in trajectories]
+    predictions = tuple(one for one, _ in predicted_tips)
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
     left_out = _exclude_beyond_margin(context, plan, predictions)
@@ -158,6 +103,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             two_way=two_way,
             left_out_spheres=left_out_spheres,
             followed=None if move is None else move.record,
+            learned=pairs.learned({one.target: shift_mm for one, shift_mm in predicted_tips}),
             left_out=left_out,
         ),
         summary=f"predicted target error {worst.rms_mm:.2f} mm rms"
@@ -167,19 +113,15 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     )
 
 
-def _select_agreeing_pairs(
-    context: StepContext, pairs: _Pairs, arm_mm: float
-) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
+def _select_agreeing_pairs(context: StepContext, pairs: Pairs) -> tuple[Pairs, tuple[LeftOutSphere, ...]]:
     """Return the pairs, without a single disagreeing sphere if the operator agrees to leave it out.
 
     Raises PRO-007 if no sphere explains it, or more than one would.
     """
-    gate = pairs.gate(arm_mm)
+    gate = pairs.gate
     if gate.passed:
         return pairs, ()
-    moved = error_budget.find_moved_spheres(
-        pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm
-    )
+    moved = pairs.find_moved()
     names = " and ".join(context.served_trajectories)
     fre, limit = format_distinct(gate.fre_mm, gate.limit_mm, 3)
     refusal = GateFailed(
@@ -194,7 +136,7 @@ def _select_agreeing_pairs(
     fiducial, rest = pairs.fiducials[place], pairs.without(place)
     question = MOVED_SPHERE.question(
         f"Sphere {fiducial + 1} disagrees with all others at {names}: it has moved, or is the wrong one.",
-        f"residual {gate.fre_mm:.2f} mm with it, {rest.gate(arm_mm).fre_mm:.2f} mm with the other "
+        f"residual {gate.fre_mm:.2f} mm with it, {rest.gate.fre_mm:.2f} mm with the other "
         f"{len(rest.fiducials)}, limit {gate.limit_mm:.2f} mm",
         context.key.trajectory,
     )
@@ -254,18 +196,16 @@ def _picture_of(context: StepContext, trajectory: str) -> tuple[Picture, ...]:
 
 
 def predict_tip_error(
-    context: StepContext,
-    fit: Registration,
-    pairs: _Pairs,
-    planned: PlannedTrajectory,
-    move: MeasuredMove | None = None,
-) -> Prediction:
+    context: StepContext, pairs: Pairs, planned: PlannedTrajectory, move: MeasuredMove | None = None
+) -> tuple[Prediction, Array]:
     """Predict the tip's error at a target from the errors of spheres, arm, guide, instrument and fusion.
+
+    Also returns how far (3,) mm its commanded place is off that by the fit, for what was learned of the arm.
 
     Of errors common to spheres and target, only the remainder counts. A followed `move` adds its own error.
     If the spheres disagree by more than all of it states, the limit is widened.
     """
-    target = planned.id
+    target, fit, looked = planned.id, pairs.fit, pairs.looked
     tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
     moved = None if move is None else move.record.robot_from_robot.transform
     robot_from_ct = fit.between(Frame.ROBOT, Frame.CT)
@@ -278,23 +218,23 @@ def predict_tip_error(
         **({} if move is None else move.shares_mm(tip_mm)),
     }
     stated_rad = calibrations.tool_tip.stated_direction_error_rad
-    nothing = np.zeros_like(pairs.ct_mm2)
+    nothing = np.zeros_like(looked.ct_mm2)
     unnoticed = expect_unnoticed(context, tip_mm, held.joints_rad, held.sides)
     turn = held.rotation
     sources = (
-        IndependentErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
+        IndependentErrors(CT, looked.ct_mm2, np.zeros((3, 3))),
         held.turn_with_head(
             scan_errors(
                 context.result(LocalizedFiducials).deformation,
-                pairs.image_mm,
+                looked.image_mm,
                 planned.target_mm,
                 robot_from_ct.rotation_matrix,
             )
         ),
-        IndependentErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
-        *fusion_errors(planned.fusion_error_mm, len(pairs.ct_mm2)),
-        IndependentErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
-        *error_budget.arm_errors(context, pairs.fiducials, fit.physical_mm, target, held),
+        IndependentErrors(SEATING, looked.seating_mm2, np.zeros((3, 3))),
+        *fusion_errors(planned.fusion_error_mm, len(looked.ct_mm2)),
+        IndependentErrors(STEREO, looked.stereo_mm2, np.zeros((3, 3))),
+        *error_budget.arm_errors(context, looked.looks, looked.physical_mm, target, held),
         IndependentErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, turn)),
         IndependentErrors(
             DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, turn)
@@ -302,19 +242,10 @@ def predict_tip_error(
         *(IndependentErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
         *(IndependentErrors(name, nothing, part, rare=True) for name, part in unnoticed.items()),
     )
-    residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
-    arm_mm = arm_error_mm(context.setting.settings, calibrations.arm)
-    worst = error_budget.find_undetected_sphere(
-        fit, tip_mm, pairs.gate(arm_mm), pairs.measured_mm2, arm_mm, pairs.tool_mm
-    )
-    predicted = predict_target_error(
-        fit.physical_mm,
-        tip_mm,
-        [held.turn_errors_back(one) for one in sources],
-        None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
-        residual,
-    )
-    return Prediction(
+    by_head = [held.turn_errors_back(one) for one in sources]
+    worst, learned = pairs.find_unnoticed(tip_mm, by_head), pairs.predict(tip_mm, by_head)
+    predicted = learned.prediction
+    prediction = Prediction(
         target=target,
         rms_mm=predicted.rms_mm,
         limit_mm=predicted.limit_mm(DEFAULT_CONFIDENCE),
@@ -326,6 +257,7 @@ def predict_tip_error(
         assumed=context.result(LocalizedFiducials).assumed_error,
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
+    return prediction, learned.shift_mm
 
 
 def _advise_on_moved(moved: list[int], spheres: int) -> str:
@@ -338,7 +270,7 @@ def _advise_on_moved(moved: list[int], spheres: int) -> str:
     return f"Without sphere {which} the others agree: it has moved. Localize again or leave it out."
 
 
-def _compare_both_ways(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
+def _compare_both_ways(context: StepContext, fit: Registration, pairs: Pairs) -> TwoWayTable:
     """Compare every CT sphere with the measurements of tracker and stereo head, and the reverse."""
     localization = context.result(LocalizedFiducials)
     correspondence = context.result(Correspondence)
@@ -350,7 +282,7 @@ def _compare_both_ways(context: StepContext, fit: Registration, pairs: _Pairs) -
         fine=fit,
         stereo=[
             RoomPoint(index, point)
-            for index, point in zip(pairs.fiducials, pairs.physical_mm.tolist(), strict=True)
+            for index, point in zip(pairs.fiducials, fit.physical_mm.tolist(), strict=True)
         ],
         ct_disagreement_mm=localization.disagreement_mm,
     )

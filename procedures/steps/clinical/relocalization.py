@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -59,10 +60,11 @@ def run(context: StepContext) -> Outcome[Relocalization]:
 
 
 def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalization]:
-    planned = paths.localizations_for(context.key.trajectory)
+    planned = paths.looks_for(context.key.trajectory)
+    learns = find_strategy(paths.strategy).learns_arm
     workcell, settings = context.workcell, context.setting.settings
     workcell.master.mount.check(MountedTool.STEREO_HEAD)
-    surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
+    surround_stereo_head(context, planned[len(planned) // 2][1].joints_rad)
     occasion = "before the spheres are localized again"
     # What moves from here on shows at home.
     if workcell.master.place.is_home or not context.stands(Relocalization):
@@ -78,33 +80,34 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
     else:
         check_room(context, occasion)
         workcell.start(cameras=True)
-    sides = arriving(context, paths)
 
     def look(fiducial: int) -> None:  # in the very pose: the local errors of the arm show in it
-        check_room(context, f"over sphere {fiducial + 1}", sides={Tracked.ARM: sides})
+        check_room(context, f"over sphere {fiducial + 1}", sides={Tracked.ARM: centring.arriving})
         note_unloaded(context)
 
     centring = Centring(
         workcell,
-        arriving=sides,
+        arriving=None,
         area_px=settings.servo_area_px,
         approach_mm=settings.approach_mm,
         on_centred=look,
     )
-    expected_mm = _expect_offsets(context, planned)
+    expected_mm = _expect_offsets(context, [item for _, item in planned])
     shift_mm = np.zeros(3)  # of the last sphere from where it was expected
     offsets_mm: list[Array] = []
     spheres: list[CentredSphere] = []
+    axes: list[str] = []
     left_out: list[LeftOutSphere] = []
-    for number, item in enumerate(planned):
+    for number, (axis, item) in enumerate(planned):
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
+        centring = replace(centring, arriving=arriving(context, paths, item))
         coarse = item.tool_pose.transform
         ahead_mm = expected_mm.get(item.fiducial, np.zeros(3)) + shift_mm
         if ahead_mm.any():  # the pose is displaced, and so is the head that the arm must clear
             surround_stereo_head(context, item.joints_rad, offset_mm=ahead_mm)
         try:
             sphere = centring.centre_on(
-                item.fiducial, coarse.displace(ahead_mm), item.approach_rad, is_close=bool(spheres)
+                item.fiducial, coarse.displace(ahead_mm), item.approach_rad, is_close=axis in axes
             )
         except RonnaError as problem:
             if not is_error(problem, *SPHERE_FAILED.errors):
@@ -115,13 +118,17 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
             )
             centring.back_off()
             continue
-        name = f"stereo-{context.key.trajectory or 'all'}-{item.fiducial + 1}.png"
+        name = f"stereo-{context.key.trajectory or (axis if learns else 'all')}-{item.fiducial + 1}.png"
         context.keep_picture(name, pair_picture(sphere.last_look))
         offsets_mm.append(sphere.point_mm - coarse.translation_mm)
         shift_mm += sphere.point_mm - coarse.translation_mm - ahead_mm
         spheres.append(sphere)
+        axes.append(axis)
         try:
-            _check_last(offsets_mm, [one.fiducial for one in spheres], context)
+            along = [place for place, one in enumerate(axes) if one == axis]  # the tool held alike
+            _check_last(
+                [offsets_mm[place] for place in along], [spheres[place].fiducial for place in along], context
+            )
         except GateFailed:
             centring.back_off()
             check_room(context, f"over sphere {item.fiducial + 1}")  # names a cart or head that has moved
@@ -144,10 +151,11 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
             looks=tuple(sphere.looks for sphere in spheres),
             joints_rad=tuple(sphere.joints_rad for sphere in spheres),
             coarse_offset_mm=np.mean(offsets_mm, axis=0).tolist(),
+            axes=tuple(axes) if learns else (),
             left_out=tuple(left_out),
         ),
         summary=(
-            f"{len(spheres)} spheres, largest final residual "
+            f"{len(spheres)} {'looks' if learns else 'spheres'}, largest final residual "
             f"{max(sphere.residuals_mm[-1] for sphere in spheres):.3f} mm"
         )
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out),
@@ -168,12 +176,14 @@ def _expect_offsets(context: StepContext, planned: Sequence[LocalizationPose]) -
     }
 
 
-def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
-    """Return each joint's approach direction at the spheres, or None if the strategy leaves it open.
+def arriving(context: StepContext, paths: CheckedPaths, look: LocalizationPose) -> tuple[int, ...] | None:
+    """Return each joint's approach direction at a look, or None if the strategy leaves it open.
 
     It is that in which the joint will arrive at the target. If one registration serves all targets, a
     calibrated arm arrives from one side: its known backlash helps only if the side is known as well.
     """
+    if look.approach_signs is not None:
+        return look.approach_signs
     if context.key.trajectory is None and context.workcell.calibrations.arm is not None:
         return ONE_SIDE
     if (

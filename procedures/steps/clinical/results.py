@@ -22,6 +22,7 @@ from procedures.registration import TwoWayTable
 from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
+from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 # Rms at the spheres that remains after a rigid fit, as measured in docs/reference/scanner-faults.md.
@@ -54,6 +55,11 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     looks: tuple[int, ...] = Field(description="Image pairs taken.")
     joints_rad: tuple[JointVector, ...] = Field(description="Joints measured at the last image pair.")
     coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
+    axes: tuple[str, ...] = Field(
+        default=(),
+        description="With strategy `learning`: the axis of each look, a key of `localizations` of the path "
+        "check. Several looks may then be at one sphere.",
+    )
     left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
     frame_at_home_mm: Numbers3 | None = Field(
         default=None,
@@ -64,7 +70,7 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     def _one_entry_for_each_sphere(self) -> Self:
         counts = {len(self.points_robot_mm), len(self.covariances_mm2), len(self.residuals_mm)}
         counts |= {len(self.ray_gaps_mm), len(self.radii_mm), len(self.looks), len(self.joints_rad)}
-        if counts != {len(self.fiducials)}:
+        if counts != {len(self.fiducials)} or (self.axes and len(self.axes) != len(self.fiducials)):
             raise ValueError("expected one entry for each of the fiducials")
         return self
 
@@ -127,6 +133,19 @@ class FollowedMove(Values):
     )
 
 
+class LearnedArm(Values):
+    """Errors of the arm as its looks at the spheres show them, by strategy `learning`."""
+
+    looks: int = Field(description="Looks used, all of them for every target.")
+    share: float = Field(description="Size of the arm's errors, as a share of the stated ones.")
+    scatter_mm: float = Field(description="Scatter per axis from pose to pose beyond the arm's model.")
+    fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
+    spheres_robot_mm: tuple[Numbers3, ...] = Field(description="Its true place by all looks, robot frame.")
+    corrections_mm: dict[str, Numbers3] = Field(
+        description="By trajectory: from the target's true place to the one commanded, robot frame."
+    )
+
+
 class RegisteredRobot(StepResult, kind="registration"):
     """Pose of the CT in the robot frame, with the predicted error at its targets."""
 
@@ -150,6 +169,9 @@ class RegisteredRobot(StepResult, kind="registration"):
     followed: FollowedMove | None = Field(
         default=None, description="The head movement that it follows; everything else is from before that."
     )
+    learned: LearnedArm | None = Field(
+        default=None, description="With strategy `learning`: what all looks show of the arm."
+    )
     left_out: dict[str, str] = Field(
         default={},
         description="Trajectories that it is not accurate enough for, and why; they are not targeted.",
@@ -162,14 +184,24 @@ class RegisteredRobot(StepResult, kind="registration"):
     def trajectories(self) -> frozenset[str]:
         return frozenset(one.target for one in self.predictions)
 
+    def robot_from_ct_at(self, trajectory: str | None) -> Transform:
+        """Return the pose robot <- CT that brings the arm to a target, with the correction learned for it."""
+        pose, corrections_mm = self.robot_from_ct.transform, self.learned and self.learned.corrections_mm
+        if not corrections_mm or trajectory not in corrections_mm:
+            return pose
+        return pose.displace(corrections_mm[trajectory])
+
     def found_in_ct_mm(self, measured: Relocalization) -> dict[int, Array]:
         """Return where the stereo head found each sphere, through this fit, by its index in the CT."""
+        fiducials, places_mm = measured.fiducials, measured.points_mm
+        if self.learned is not None:
+            fiducials, places_mm = self.learned.fiducials, np.array(self.learned.spheres_robot_mm)
         ct_from_robot = self.robot_from_ct.transform.inverse()
         if self.followed is not None:  # they were measured before the head moved
             ct_from_robot = ct_from_robot @ self.followed.robot_from_robot.transform
         return {
             fiducial: ct_from_robot.apply(place_mm)
-            for fiducial, place_mm in zip(measured.fiducials, measured.points_mm, strict=True)
+            for fiducial, place_mm in zip(fiducials, places_mm, strict=True)
         }
 
     def prediction(self, target: str) -> Prediction:

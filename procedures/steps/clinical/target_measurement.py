@@ -48,7 +48,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     workcell.master.mount.check(MountedTool.STEREO_HEAD)
     paths = context.result(CheckedPaths)
     planned = context.result(CheckedPlan).trajectory(name).trajectory
-    robot_from_ct = context.result(RegisteredRobot).robot_from_ct.transform
+    robot_from_ct = context.result(RegisteredRobot).robot_from_ct_at(name)
     target = refine_target_pose(paths.targets[name].tool_pose.transform, planned, robot_from_ct)
     travel_mm = planned.depth_mm + context.setting.settings.approach_mm
     approach_pose = back_along_axis(target, travel_mm)

@@ -140,7 +140,9 @@ def registered_here(context: StepContext) -> Transform:
         return here[-1] if here else None
 
     registered = context.result_among(RegisteredRobot, own)
-    return (registered or context.result(Correspondence)).robot_from_ct.transform
+    if registered is None:
+        return context.result(Correspondence).robot_from_ct.transform
+    return registered.robot_from_ct_at(context.trajectory)
 
 
 def surround_at_guide(context: StepContext, near_rad: JointVector, robot_from_ct: Transform) -> None:

@@ -1,0 +1,308 @@
+"""Spheres of CT and robot that a registration is fitted to, with every error of theirs that is known.
+
+Two ways from looks to a registration: each look at a sphere of its own, as the nominal arm reports it; or all
+looks of the case in one adjustment with the errors of the arm (strategy `learning`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol, Self
+
+import numpy as np
+
+from procedures.engine.context import StepContext
+from procedures.registration import Registration, register
+from procedures.registration.arm_learning import (
+    ArmLearning,
+    LearnedTarget,
+    Looks,
+    Source,
+    at_looks,
+    share_by_sphere,
+)
+from procedures.registration.error_theory import FreGate, chi_square_limit
+from procedures.registration.errors import CollinearPoints
+from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.rigid_fit import fit_rigid
+from procedures.registration.target_prediction import (
+    IndependentErrors,
+    UnnoticedPoint,
+    check_residuals,
+    predict_target_error,
+)
+from procedures.steps.clinical import error_budget
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
+from procedures.steps.clinical.results import LearnedArm, Relocalization
+from procedures.strategies.catalogue import find_strategy
+from ronna_hw.arrays import Array
+from ronna_hw.calibrated_arm.error_budget import arm_error_mm
+
+REPEATABILITY = "repeatability"  # of its sources, the one that is not learned
+CT, SEATING, STEREO = "CT", "seating of the spheres", "stereo measurement"
+NO_SHIFT = np.zeros(3)
+
+
+class Pairs(Protocol):
+    """Spheres of CT and robot, their errors, and the registration by them."""
+
+    @property
+    def fiducials(self) -> tuple[int, ...]:
+        """CT index of each sphere used."""
+        ...
+
+    @property
+    def looked(self) -> LookedPairs:
+        """Looks as the nominal arm reports them, several at one sphere if the arm is learned."""
+        ...
+
+    @property
+    def fit(self) -> Registration:
+        """Registration by these pairs, one pair for each sphere."""
+        ...
+
+    @property
+    def gate(self) -> FreGate:
+        """Residual against all errors that are known."""
+        ...
+
+    def without(self, place: int) -> Pairs:
+        """Return the pairs without the sphere at this place of `fiducials`."""
+        ...
+
+    def find_moved(self) -> tuple[int, ...]:
+        """Return the places of spheres without which the others agree, most likely first."""
+        ...
+
+    def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
+        """Find the sphere whose displacement could move a target (3,) mm furthest while the gate passes."""
+        ...
+
+    def predict(self, tip_mm: Array, sources: Sequence[Source]) -> LearnedTarget:
+        """Predict a target (3,) mm, robot frame by `fit`, from all sources of error at the looks."""
+        ...
+
+    def learned(self, shifts_mm: Mapping[str, Array]) -> LearnedArm | None:
+        """Return what was learned of the arm, with the correction (3,) mm of each target."""
+        ...
+
+
+def pairs_of(context: StepContext) -> Pairs:
+    """Return the pairs of this localization, by the case's strategy."""
+    looked = LookedPairs.of(context)
+    if not find_strategy(context.result(CheckedPaths).strategy).learns_arm:
+        return looked
+    errors = error_budget.errors_at_looks(context, looked.looks, looked.physical_mm)
+    return LearnedPairs(looked, tuple(errors))
+
+
+@dataclass(frozen=True)
+class LookedPairs:
+    """One look at each sphere, with covariances in the frame of the room."""
+
+    fiducials: tuple[int, ...]
+    looks: tuple[LocalizationPose, ...]
+    image_mm: Array
+    physical_mm: Array  # as the nominal arm reports the look, robot frame
+    ct_mm2: Array
+    seating_mm2: Array
+    stereo_mm2: Array
+    sides_mm2: Array  # of backlashes, where the strategy does not control them
+    tool_mm: Array  # what each standard deviation of the tool frame displaces
+    arm_mm: float  # the arm's sigma per axis
+
+    @classmethod
+    def of(cls, context: StepContext) -> Self:
+        """Pair every look of this localization with its sphere in the CT."""
+        localization, fine = context.result(LocalizedFiducials), context.result(Relocalization)
+        rotation = context.result(Correspondence).robot_from_ct.transform.rotation_matrix
+        fiducials = list(fine.fiducials)
+        ct = np.array([localization.markers[index].covariance_mm2 for index in fiducials])
+        paths = context.result(CheckedPaths)
+        all_looks = paths.looks_for(context.key.trajectory)
+        axes = fine.axes or [all_looks[0][0]] * len(fiducials)  # one axis only
+        planned = {(axis, one.fiducial): one for axis, one in all_looks}
+        looks = tuple(planned[of] for of in zip(axes, fiducials, strict=True))
+        settings = context.setting.settings
+        return cls(
+            fiducials=fine.fiducials,
+            looks=looks,
+            image_mm=localization.centres_mm[fiducials],
+            physical_mm=fine.points_mm,
+            ct_mm2=rotation @ ct @ rotation.T,
+            seating_mm2=np.tile(np.eye(3) * settings.seating_error_mm**2, (len(fiducials), 1, 1)),
+            stereo_mm2=np.array(fine.covariances_mm2),
+            sides_mm2=error_budget.unknown_sides_mm2(context, looks, fine.points_mm),
+            tool_mm=error_budget.sphere_displacements_mm(context, looks),
+            arm_mm=arm_error_mm(settings, context.workcell.calibrations.arm),
+        )
+
+    @property
+    def looked(self) -> Self:
+        """The pairs themselves."""
+        return self
+
+    @property
+    def measured_mm2(self) -> Array:
+        """Covariance (n, 3, 3) of everything but the arm."""
+        return self.ct_mm2 + self.seating_mm2 + self.stereo_mm2 + self.sides_mm2
+
+    @cached_property
+    def fit(self) -> Registration:
+        return register(
+            self.image_mm,
+            self.physical_mm,
+            covariance_mm2=self.measured_mm2 + error_budget.arm_covariance_mm2(self.arm_mm),
+        )
+
+    @property
+    def gate(self) -> FreGate:
+        return error_budget.residual_gate(
+            self.image_mm, self.physical_mm, self.measured_mm2, self.arm_mm, self.tool_mm
+        )
+
+    def without(self, place: int) -> Self:
+        return self.at([row for row in range(len(self.looks)) if row != place])
+
+    def at(self, rows: Sequence[int]) -> Self:
+        """Return the pairs at these places."""
+        kept = list(rows)
+        return replace(
+            self,
+            fiducials=tuple(self.fiducials[row] for row in rows),
+            looks=tuple(self.looks[row] for row in rows),
+            image_mm=self.image_mm[kept],
+            physical_mm=self.physical_mm[kept],
+            ct_mm2=self.ct_mm2[kept],
+            seating_mm2=self.seating_mm2[kept],
+            stereo_mm2=self.stereo_mm2[kept],
+            sides_mm2=self.sides_mm2[kept],
+            tool_mm=self.tool_mm[kept],
+        )
+
+    def find_moved(self) -> tuple[int, ...]:
+        return error_budget.find_moved_spheres(
+            self.image_mm, self.physical_mm, self.measured_mm2, self.arm_mm, self.tool_mm
+        )
+
+    def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
+        return error_budget.find_undetected_sphere(
+            self.fit, tip_mm, self.gate, self.measured_mm2, self.arm_mm, self.tool_mm
+        )
+
+    def predict(self, tip_mm: Array, sources: Sequence[Source]) -> LearnedTarget:
+        fit = self.fit
+        residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
+        weights = None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2)
+        return LearnedTarget(
+            NO_SHIFT, predict_target_error(fit.physical_mm, tip_mm, sources, weights, residual)
+        )
+
+    def learned(self, shifts_mm: Mapping[str, Array]) -> None:
+        """Nothing is learned from one look at each sphere."""
+
+
+@dataclass(frozen=True)
+class LearnedPairs:
+    """All looks of a case, in one adjustment with the errors of the arm at them."""
+
+    looked: LookedPairs
+    errors: tuple[Source, ...]  # of the arm
+
+    @cached_property
+    def fiducials(self) -> tuple[int, ...]:
+        return tuple(sorted(set(self.looked.fiducials)))
+
+    @cached_property
+    def _coarse(self) -> ArmLearning:
+        """Adjustment from the plain fit of all looks, an arm's errors away from the pose."""
+        fit = fit_rigid(self.looked.image_mm, self.looked.physical_mm)
+        return self._adjust(self.looked.image_mm @ fit.rotation.T + fit.translation_mm)
+
+    @cached_property
+    def fit(self) -> Registration:
+        places_mm, covariances_mm2 = self._coarse.spheres_mm(self._rows)
+        first = [rows[0] for rows in self._rows]
+        measured = self.looked.ct_mm2[first] + self.looked.seating_mm2[first]
+        return register(self.looked.image_mm[first], places_mm, covariance_mm2=measured + covariances_mm2)
+
+    @cached_property
+    def learning(self) -> ArmLearning:
+        """Adjustment from the registration."""
+        return self._adjust(np.asarray(self.fit.transform.apply(self.looked.image_mm)))
+
+    @property
+    def gate(self) -> FreGate:
+        residual = self._coarse.residual
+        limit = chi_square_limit(residual.freedom, error_budget.GATE_CONFIDENCE)
+        return FreGate(self.fit.fre_mm, residual.chi_square, limit, error_budget.GATE_CONFIDENCE)
+
+    def without(self, place: int) -> Self:
+        rows = [row for kept, of in enumerate(self._rows) if kept != place for row in of]
+        rows.sort()
+        return replace(self, looked=self.looked.at(rows), errors=tuple(at_looks(self.errors, rows)))
+
+    def find_moved(self) -> tuple[int, ...]:
+        found: list[tuple[float, int]] = []
+        for place in range(len(self.fiducials) if len(self.fiducials) > FEWEST_PAIRS else 0):
+            with suppress(CollinearPoints):
+                gate = self.without(place).gate
+                if gate.passed:
+                    found.append((gate.chi_square, place))
+        return tuple(place for _, place in sorted(found))
+
+    def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
+        arm, others = self._split(sources)
+        return self.learning.find_unnoticed(
+            self._rows, tip_mm, [*arm, *others], self.gate.chi_square_limit, error_budget.GROSS_MM
+        )
+
+    def predict(self, tip_mm: Array, sources: Sequence[Source]) -> LearnedTarget:
+        return self.learning.at_target(tip_mm, *self._split(sources))
+
+    def learned(self, shifts_mm: Mapping[str, Array]) -> LearnedArm:
+        """Return the size of the arm's errors, the spheres as it sees them, and the targets' corrections."""
+        return LearnedArm(
+            looks=len(self.looked.looks),
+            share=self.learning.share,
+            scatter_mm=self.learning.scatter_mm,
+            fiducials=self.fiducials,
+            spheres_robot_mm=tuple(self.fit.physical_mm.tolist()),
+            corrections_mm={name: tuple(shift.tolist()) for name, shift in shifts_mm.items()},
+        )
+
+    @cached_property
+    def _rows(self) -> list[list[int]]:
+        """Places of the looks at each sphere."""
+        return [
+            [row for row, of in enumerate(self.looked.fiducials) if of == fiducial]
+            for fiducial in self.fiducials
+        ]
+
+    def _adjust(self, mapped_mm: Array) -> ArmLearning:
+        nothing = np.zeros((3, 3))
+        spheres = [
+            IndependentErrors(CT, self.looked.ct_mm2, nothing),
+            IndependentErrors(SEATING, self.looked.seating_mm2, nothing),
+            IndependentErrors(STEREO, self.looked.stereo_mm2, nothing),
+        ]
+        arm, others = self._split([*spheres, *self.errors])
+        return ArmLearning.of(Looks(self.looked.physical_mm - mapped_mm, mapped_mm, arm, others))
+
+    def _split(self, sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:
+        """Split sources into those that the arm's size scales, and the rest, by sphere where it has them."""
+        learned = {one.source for one in self.errors} - {REPEATABILITY}
+        others: list[Source] = []
+        for one in sources:
+            if one.source in learned:
+                continue
+            if isinstance(one, IndependentErrors) and one.source in (CT, SEATING):
+                others.append(share_by_sphere(one, self.looked.fiducials))
+            else:
+                others.append(one)
+        return [one for one in sources if one.source in learned], others
