@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
-from procedures.registration.arm_learning import HYPOTHESES, PRIOR, Source
+from procedures.registration.arm_learning import HYPOTHESES, PRIOR, Source, covariance_of
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, chi_square_limit, error_limit_mm
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import (
@@ -72,7 +71,7 @@ class PlannedAdjustment:
         """Prepare looks at points (m, 3) mm; the sources of every target are the same at the looks."""
         centre, scatter = points_mm.mean(axis=0), np.eye(AXES * len(points_mm))
         pose = pose_jacobian(points_mm, centre).reshape(-1, 6)
-        arm_mm2, others_mm2 = (_covariance(one) for one in (targets[0].arm, targets[0].others))
+        arm_mm2, others_mm2 = (covariance_of(one) for one in (targets[0].arm, targets[0].others))
         together = [_covariance_with(one.arm) for one in targets]
         at_target = [pose_jacobian(one.target_mm, centre) for one in targets]
         apart = [(_covariance_at(one.arm), _covariance_at(one.others)) for one in targets]
@@ -127,7 +126,7 @@ class PlainRegistration:
     def of(cls, points_mm: Array, targets: Sequence[TargetSources]) -> Self:
         """Prepare looks at points (m, 3) mm."""
         pose = pose_jacobian(points_mm, points_mm.mean(axis=0)).reshape(-1, 6)
-        information = np.linalg.inv(_covariance([*targets[0].arm, *targets[0].others]))
+        information = np.linalg.inv(covariance_of([*targets[0].arm, *targets[0].others]))
         on_pose = information @ pose
         predicted = [
             predict_by_influence(influence_of_spheres(points_mm, one.target_mm), [*one.arm, *one.others])
@@ -145,18 +144,6 @@ class PlainRegistration:
         shape = (len(flat), *self.covariances_mm2.shape)
         covariances = np.broadcast_to(self.covariances_mm2, shape)
         return Judged(np.zeros(shape[:-1]), covariances, chi_squares, flat.shape[1] - 6)
-
-
-def _covariance(sources: Sequence[Source]) -> Array:
-    """Return the covariance (3m, 3m) mm2 of all looks."""
-    found: Array = np.zeros((1, 1))
-    for one in sources:
-        if isinstance(one, SharedErrors):
-            columns = one.at_spheres_mm.reshape(-1, one.at_spheres_mm.shape[-1])
-            found = found + columns @ columns.T
-        else:
-            found = found + block_diag(*one.at_spheres_mm2)
-    return found
 
 
 def _covariance_with(sources: Sequence[Source]) -> Array:

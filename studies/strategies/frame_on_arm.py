@@ -92,7 +92,7 @@ def _frame_rows(planner: CasePlanner, looks: PlannedLooks, marker: int, centre: 
 
 
 def main() -> None:
-    """Print the predicted rms of a case of the other studies' first targets, in JSON, with the frame or not."""
+    """Print the predicted rms of one case in JSON, with the frame and without."""
     phantom = draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS_OF_CASE)
     found = {}
     for kind in SCENARIOS:

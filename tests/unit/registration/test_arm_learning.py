@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.arm_learning import (
     HYPOTHESES,
@@ -13,6 +12,7 @@ from procedures.registration.arm_learning import (
     ArmLearning,
     Hypothesis,
     Looks,
+    at_looks,
     best_influence,
     share_by_sphere,
 )
@@ -25,7 +25,6 @@ from procedures.registration.target_prediction import (
     predict_by_influence,
 )
 from ronna_hw.arrays import Array
-from ronna_hw.frames import Frame, Transform
 from studies.accuracy.many_learned import PlannedAdjustment, TargetSources
 
 SPHERES = np.array([[80.0, 0, 0], [0, 90, 20], [-70, -10, 40], [10, -80, 0], [-40, 60, -30]])
@@ -79,40 +78,43 @@ def test_the_best_influence_keeps_the_pose_unbiased_and_no_other_unbiased_one_pr
         assert predict_by_influence(beside, sources).rms_mm > rms_mm
 
 
-def test_a_moved_head_is_found_and_its_residuals_say_nothing_of_the_arm() -> None:
+def test_a_moved_head_leaves_no_residual_and_moves_the_target_with_it() -> None:
     points = SPHERES[list(TWICE)]
     step = np.array([1e-4, -2e-4, 1e-4, 0.3, -0.2, 0.1])
-    moved = pose_jacobian(points, points.mean(axis=0)) @ step
-    looks = Looks(moved, points, [arm_errors(10)], [own_errors(10), ct_of_spheres(TWICE)])
-    learned = ArmLearning.of(looks)
-    start = Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(points[0], Rotation.identity()))
-    corrected = learned.correct_pose(start)
-    np.testing.assert_allclose(
-        corrected.apply(points - points[0]) - points, moved, atol=1e-4 * np.linalg.norm(step[3:])
-    )
-    np.testing.assert_allclose(learned.arm_errors_mm(), 0.0, atol=1e-9)
+    centre = points.mean(axis=0)
+    moved = pose_jacobian(points, centre) @ step
+    arm, others = [arm_errors(10)], [own_errors(10), ct_of_spheres(TWICE)]
+    learned = ArmLearning.of(Looks(moved, points, arm, others))
+    found = learned.at_target(TARGET, arm, others)
+    np.testing.assert_allclose(found.shift_mm, pose_jacobian(TARGET, centre) @ step, atol=1e-9)
     assert learned.residual.chi_square == pytest.approx(0.0, abs=1e-6)
+    places, _ = learned.spheres_mm([(number, number + 5) for number in range(5)])
+    np.testing.assert_allclose(places, SPHERES + moved[:5], atol=1e-9)
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0, 2.0])
-def test_the_limit_holds_and_the_size_is_noticed_on_arms_better_and_worse_than_stated(share: float) -> None:
+def test_the_limit_holds_on_arms_better_and_worse_than_stated(share: float) -> None:
     random, points = np.random.default_rng(31), SPHERES[list(TWICE)]
     arm, others = arm_errors(10), [own_errors(10), ct_of_spheres(TWICE)]
-    inside, plain_mm, learned_mm, shares = 0, [], [], []
-    runs = 120
-    for _ in range(runs):
-        residuals, at_target = draw_residuals(random, arm, share)
-        learned = ArmLearning.of(Looks(residuals, points, [arm], others))
-        found = learned.at_target(TARGET, [arm], others)
-        error_mm = float(np.linalg.norm(found.shift_mm + at_target))
-        plain = np.einsum("nij,nj->i", influence_of_spheres(points, TARGET), residuals)
-        inside += error_mm <= found.prediction.limit_mm()
-        learned_mm.append(error_mm)
-        plain_mm.append(float(np.linalg.norm(plain + at_target)))
-        shares.append(learned.share)
-    assert 0.9 <= inside / runs <= 1.0
-    assert np.mean(learned_mm) < 0.6 * np.mean(plain_mm)
-    assert np.mean(shares) == pytest.approx(share, rel=0.4)  # the prior draws it towards 1
+    drawn = [draw_residuals(random, arm, share) for _ in range(500)]
+    residuals, at_target = (np.array(one) for one in zip(*drawn, strict=True))
+    judged = PlannedAdjustment.of(points, [TargetSources(TARGET, [arm], others)]).judge(residuals)
+    plain = np.einsum("nij,anj->ai", influence_of_spheres(points, TARGET), residuals)
+    learned_mm, plain_mm = (
+        np.linalg.norm(one + at_target, axis=1) for one in (judged.shifts_mm[:, 0], plain)
+    )
+    assert 0.93 <= np.mean(learned_mm <= judged.limits_mm()[:, 0]) <= 0.99
+    assert learned_mm.mean() < 0.6 * plain_mm.mean()
+
+
+def test_an_arm_worse_than_stated_is_noticed() -> None:
+    points, arm = SPHERES[list(TWICE)], arm_errors(10)
+    shares = []
+    for share in (0.5, 2.0):
+        residuals, _ = draw_residuals(np.random.default_rng(31), arm, share)
+        looks = Looks(residuals, points, [arm], [own_errors(10), ct_of_spheres(TWICE)])
+        shares.append(ArmLearning.of(looks).share)
+    assert shares[0] < 1.0 < shares[1]
 
 
 def test_looks_that_scatter_more_than_any_hypothesis_leave_a_residual_that_is_refused() -> None:
@@ -130,8 +132,10 @@ def test_a_sphere_that_has_moved_stands_out_until_its_looks_are_left_out() -> No
     random, points = np.random.default_rng(6), SPHERES[list(TWICE)]
     residuals, _ = draw_residuals(random, arm_errors(10), 1.0)
     residuals[[3, 8]] += [4.0, 0.0, 0.0]
-    looks = Looks(residuals, points, [arm_errors(10)], [own_errors(10), ct_of_spheres(TWICE)])
-    whole, rest = ArmLearning.of(looks), ArmLearning.of(looks.without([3, 8]))
+    arm, others = [arm_errors(10)], [own_errors(10), ct_of_spheres(TWICE)]
+    kept = np.setdiff1d(np.arange(10), [3, 8])
+    whole = ArmLearning.of(Looks(residuals, points, arm, others))
+    rest = ArmLearning.of(Looks(residuals[kept], points[kept], at_looks(arm, kept), at_looks(others, kept)))
     assert whole.residual.chi_square > chi_square_limit(whole.residual.freedom, 0.999)
     assert rest.residual.chi_square < chi_square_limit(rest.residual.freedom, 0.999)
     assert rest.residual.freedom == whole.residual.freedom - 6
