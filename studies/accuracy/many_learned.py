@@ -133,7 +133,7 @@ class PlainRegistration:
             for one in targets
         ]
         return cls(
-            information - on_pose @ np.linalg.solve(pose.T @ on_pose, on_pose.T),
+            np.asarray(information - on_pose @ np.linalg.solve(pose.T @ on_pose, on_pose.T)),
             np.array([one.covariance_mm2 for one in predicted]),
         )
 
@@ -160,6 +160,8 @@ def _covariance_at(sources: Sequence[Source]) -> Array:
     """Return the covariance (3, 3) mm2 of the tool at the target."""
     found: Array = np.zeros((AXES, AXES))
     for one in sources:
-        is_shared = isinstance(one, SharedErrors)
-        found = found + (one.at_target_mm @ one.at_target_mm.T if is_shared else one.at_target_mm2)
+        if isinstance(one, SharedErrors):
+            found = found + one.at_target_mm @ one.at_target_mm.T
+        else:
+            found = found + one.at_target_mm2
     return found

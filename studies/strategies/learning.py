@@ -175,7 +175,7 @@ class CaseDraws:
         )
 
     def displaced(
-        self, poses: PlannedPoses, points_mm: Array, moved_s: Array, bumped: Array
+        self, poses: PlannedPoses, points_mm: Array, moved_s: Array, bumped: NDArray[np.bool_]
     ) -> DisplacedArms:
         """Place the arms at poses (p,) with their effects; `bumped` (a, p) marks a flange bumped by then."""
         shifts_rad, shifts_mm = [], []
@@ -232,7 +232,8 @@ class Bench:
         """Plan and prepare all strategies."""
         planner = plan_case(kind, phantom, place)
         planned = {strategy: planner.separate(strategy) for strategy in SEPARATE}
-        candidates, prepared = planner.candidates(), {}
+        candidates = planner.candidates()
+        prepared: dict[tuple[str, int], Prepared] = {}
         for count in counts_of(Markers.FREE):
             own = {
                 strategy: Prepared.of(planner, looks.of_spheres(count), learns=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -36,7 +36,7 @@ class Series:
     """Results of one strategy on arms of one kind: errors by trial, and sums of the rest."""
 
     errors_mm: dict[Trial, float] = field(default_factory=dict)
-    sums: Counter[str] = field(default_factory=Counter)
+    sums: dict[str, float] = field(default_factory=lambda: defaultdict(float))
 
     def row(self) -> dict[str, Cell]:
         """Return its figures; none of the errors where every trial was refused."""

@@ -12,6 +12,7 @@ from procedures.registration.arm_learning import (
     ArmLearning,
     Hypothesis,
     Looks,
+    Source,
     at_looks,
     best_influence,
     share_by_sphere,
@@ -48,6 +49,10 @@ def arm_errors(looks: int, size_mm: float = 0.3) -> SharedErrors:
     return SharedErrors("arm", columns[:-1], columns[-1])
 
 
+def other_errors() -> list[Source]:
+    return [own_errors(10), ct_of_spheres(TWICE)]
+
+
 def draw_residuals(random: np.random.Generator, arm: SharedErrors, share: float) -> tuple[Array, Array]:
     """Draw residuals (m, 3) of two looks at each sphere, and the error (3,) of the tool at the target."""
     size = share * random.normal(size=arm.at_target_mm.shape[1])
@@ -64,7 +69,7 @@ def test_without_errors_of_the_arm_the_best_influence_is_that_of_a_weighted_fit(
 
 
 def test_the_best_influence_keeps_the_pose_unbiased_and_no_other_unbiased_one_predicts_better() -> None:
-    sources = [arm_errors(10), own_errors(10), ct_of_spheres(TWICE)]
+    sources = [arm_errors(10), *other_errors()]
     points = SPHERES[list(TWICE)]
     best = best_influence(points, TARGET, sources)
     centre = points.mean(axis=0)
@@ -83,7 +88,8 @@ def test_a_moved_head_leaves_no_residual_and_moves_the_target_with_it() -> None:
     step = np.array([1e-4, -2e-4, 1e-4, 0.3, -0.2, 0.1])
     centre = points.mean(axis=0)
     moved = pose_jacobian(points, centre) @ step
-    arm, others = [arm_errors(10)], [own_errors(10), ct_of_spheres(TWICE)]
+    arm: list[Source] = [arm_errors(10)]
+    others = other_errors()
     learned = ArmLearning.of(Looks(moved, points, arm, others))
     found = learned.at_target(TARGET, arm, others)
     np.testing.assert_allclose(found.shift_mm, pose_jacobian(TARGET, centre) @ step, atol=1e-9)
@@ -95,7 +101,7 @@ def test_a_moved_head_leaves_no_residual_and_moves_the_target_with_it() -> None:
 @pytest.mark.parametrize("share", [0.5, 1.0, 2.0])
 def test_the_limit_holds_on_arms_better_and_worse_than_stated(share: float) -> None:
     random, points = np.random.default_rng(31), SPHERES[list(TWICE)]
-    arm, others = arm_errors(10), [own_errors(10), ct_of_spheres(TWICE)]
+    arm, others = arm_errors(10), other_errors()
     drawn = [draw_residuals(random, arm, share) for _ in range(500)]
     residuals, at_target = (np.array(one) for one in zip(*drawn, strict=True))
     judged = PlannedAdjustment.of(points, [TargetSources(TARGET, [arm], others)]).judge(residuals)
@@ -112,7 +118,7 @@ def test_an_arm_worse_than_stated_is_noticed() -> None:
     shares = []
     for share in (0.5, 2.0):
         residuals, _ = draw_residuals(np.random.default_rng(31), arm, share)
-        looks = Looks(residuals, points, [arm], [own_errors(10), ct_of_spheres(TWICE)])
+        looks = Looks(residuals, points, [arm], other_errors())
         shares.append(ArmLearning.of(looks).share)
     assert shares[0] < 1.0 < shares[1]
 
@@ -120,7 +126,7 @@ def test_an_arm_worse_than_stated_is_noticed() -> None:
 def test_looks_that_scatter_more_than_any_hypothesis_leave_a_residual_that_is_refused() -> None:
     random, points = np.random.default_rng(4), SPHERES[list(TWICE)]
     residuals, _ = draw_residuals(random, arm_errors(10), 1.0)
-    others = [own_errors(10), ct_of_spheres(TWICE)]
+    others = other_errors()
     usual = ArmLearning.of(Looks(residuals, points, [arm_errors(10)], others)).residual
     bumped = residuals + 2.0 * random.normal(size=residuals.shape)
     unlike = ArmLearning.of(Looks(bumped, points, [arm_errors(10)], others)).residual
@@ -132,8 +138,9 @@ def test_a_sphere_that_has_moved_stands_out_until_its_looks_are_left_out() -> No
     random, points = np.random.default_rng(6), SPHERES[list(TWICE)]
     residuals, _ = draw_residuals(random, arm_errors(10), 1.0)
     residuals[[3, 8]] += [4.0, 0.0, 0.0]
-    arm, others = [arm_errors(10)], [own_errors(10), ct_of_spheres(TWICE)]
-    kept = np.setdiff1d(np.arange(10), [3, 8])
+    arm: list[Source] = [arm_errors(10)]
+    others = other_errors()
+    kept = [look for look in range(10) if look not in (3, 8)]
     whole = ArmLearning.of(Looks(residuals, points, arm, others))
     rest = ArmLearning.of(Looks(residuals[kept], points[kept], at_looks(arm, kept), at_looks(others, kept)))
     assert whole.residual.chi_square > chi_square_limit(whole.residual.freedom, 0.999)
@@ -165,7 +172,8 @@ def test_a_hypothesis_scales_the_arm_alone_and_adds_its_scatter_everywhere() -> 
 
 def test_many_arms_at_once_are_adjusted_as_each_alone() -> None:
     random, points = np.random.default_rng(5), SPHERES[list(TWICE)]
-    arm, others = [arm_errors(10)], [own_errors(10), ct_of_spheres(TWICE)]
+    arm: list[Source] = [arm_errors(10)]
+    others = other_errors()
     residuals = np.array([draw_residuals(random, arm_errors(10), share)[0] for share in (0.4, 1.0, 3.0)])
     judged = PlannedAdjustment.of(points, [TargetSources(TARGET, arm, others)]).judge(residuals)
     for number, one in enumerate(residuals):

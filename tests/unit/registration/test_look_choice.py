@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from procedures.registration.arm_learning import best_influence, share_by_sphere
+from procedures.registration.arm_learning import Source, best_influence, share_by_sphere
 from procedures.registration.look_choice import Candidates, ChosenLooks, choose_looks
 from procedures.registration.target_prediction import IndependentErrors, SharedErrors, predict_by_influence
 from ronna_hw.arrays import Array
@@ -41,7 +41,11 @@ def predicted_rms_mm(looks: Candidates, at_targets: Array, chosen: tuple[int, ..
     noise = IndependentErrors("noise", np.tile(looks.look_mm2, (len(kept), 1, 1)), nothing)
     squares = []
     for target, arm in zip(TARGETS, at_targets, strict=True):
-        sources = [SharedErrors("arm", looks.arm_mm[kept], arm), noise, share_by_sphere(ct, spheres)]
+        sources: list[Source] = [
+            SharedErrors("arm", looks.arm_mm[kept], arm),
+            noise,
+            share_by_sphere(ct, spheres),
+        ]
         influence = best_influence(POINTS[kept], target, sources)
         squares.append(predict_by_influence(influence, sources).rms_mm ** 2)
     return float(np.sqrt(np.mean(squares)))
