@@ -340,12 +340,24 @@ def strategies(
             help="Only arms whose tool frame and CT are fitted to table 4: at most 40, tilted alike.",
         ),
     ] = False,
+    learning: Annotated[
+        bool,
+        typer.Option(
+            "--learning",
+            help="Only `learning` against all others: three targets a case, arms as told, better, worse.",
+        ),
+    ] = False,
     methods: OwnOption = None,
     *,
     study_options: StudyOptions,
 ) -> None:
     """Localization strategies on random arms, against table 4 of the thesis; quality of the prediction."""
-    separate = {"--identified": identified, "--wrong": wrong, "--one-experiment": one_experiment}
+    separate = {
+        "--identified": identified,
+        "--wrong": wrong,
+        "--one-experiment": one_experiment,
+        "--learning": learning,
+    }
     given = [option for option, chosen in separate.items() if chosen]
     if len(given) > 1:
         raise _several_studies(given)
@@ -360,6 +372,11 @@ def strategies(
         from studies.strategies.unmodelled_arm import UnmodelledArmStudy
 
         _run(UnmodelledArmStudy(arms, seed), unmodelled_arm_tables, study_options)
+    elif learning:
+        from studies.strategies import learning_tables
+        from studies.strategies.learning import LearningStudy
+
+        _run(LearningStudy(arms, seed), learning_tables, study_options)
     elif one_experiment:
         from studies.strategies import experiment_tables
         from studies.strategies.one_experiment import MOST_ARMS, OneExperimentStudy

@@ -39,6 +39,7 @@ class Postures:
     targets: PlannedPoses  # t
     arrival: Array  # (sets * n, 6) side of its backlash on which each joint rests at a sphere, -1 or 1
     target_arrival: Array  # (t, 6)
+    trajectories: tuple[Trajectory, ...]  # t, at their free angles
 
     def set_of(self, target: int) -> int:
         """Return the index of the localization set used for a target."""
@@ -79,7 +80,26 @@ def plan_postures(
         targets=PlannedPoses.of(ARM, TOOL_MM, target_joints),
         arrival=arrival,
         target_arrival=target_arrival,
+        trajectories=tuple(targets),
     )
+
+
+def plan_candidates(
+    strategy: Strategy,
+    trajectory: Trajectory,
+    phantom: Phantom,
+    robot_from_ct: Transform,
+    sizes: ErrorSizes = UNCALIBRATED,
+) -> Array | None:
+    """Return a strategy's joints (n, 6) at all spheres for a trajectory as turned, or None out of reach."""
+    arm = ArmInBranch(ARM, TOOL, TOOL, ARM.branch_of(ARM.home_rad), ARM.home_rad, sizes)
+    try:
+        poses = strategy.localization_poses(trajectory, phantom.spheres_mm, robot_from_ct, arm)
+        joints = [arm.guide_joints(pose) for pose in poses]
+    except (LimitError, NoNearbyJoints):
+        return None
+    is_bent = all(ARM.wrist_bend_rad(one) >= LEAST_BEND_RAD for one in joints)
+    return np.array(joints) if is_bent else None
 
 
 def _approach_joints(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:

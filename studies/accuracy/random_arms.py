@@ -30,7 +30,7 @@ from studies.errors import POSE_NOT_SOLVED
 
 Components = tuple[Array, Array, Array]
 ARMS_KEY = 4  # of the random numbers: arms are independent of everything else drawn from a seed
-SETTLED_MM = 1e-6  # far below any source of error
+SETTLED_MM = 1e-5  # far below any source of error; arms twice as bad as set S settle more slowly
 STEPS = 10
 
 
@@ -100,6 +100,22 @@ class RandomArms:
             sag_rad=self.sag_rad * (source is Source.JOINTS),
             backlash_rad=self.backlash_rad * (source is Source.BACKLASH),
             repeatability_mm=self.repeatability_mm * (source is Source.REST),
+        )
+
+    def times(self, factors: Array) -> RandomArms:
+        """Return arms with all systematic errors larger by a factor (a,) each."""
+        turns = Rotation.from_matrix(self.link_rotation.reshape(-1, 3, 3)).as_rotvec()
+        larger = Rotation.from_rotvec(np.repeat(factors, len(self.chain.joints))[:, None] * turns).as_matrix()
+        flat, deep = factors[:, None], factors[:, None, None]
+        return replace(
+            self,
+            tool_error_mm=flat * self.tool_error_mm,
+            link_translation_mm=deep * self.link_translation_mm,
+            link_rotation=larger.reshape(self.link_rotation.shape),
+            joint_offset_rad=flat * self.joint_offset_rad,
+            harmonics_rad=deep * self.harmonics_rad,
+            sag_rad=flat * self.sag_rad,
+            backlash_rad=flat * self.backlash_rad,
         )
 
     def tool_points_mm(self, joints_rad: Array, flanks: Array) -> Array:

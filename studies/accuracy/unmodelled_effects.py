@@ -110,18 +110,29 @@ class DrawnEffect:
 
     def shift_rad(self, chain: Chain, joints_rad: Array, points_mm: Array, moved_s: Array) -> Array:
         """Return the joint errors (p, 6) at joints (p, 6) with the tool at (p, 3) mm, after this motion."""
+        return self.shift_by_load_rad(joints_rad, load_levers(chain, joints_rad, points_mm), moved_s)
+
+    def shift_by_load_rad(self, joints_rad: Array, levers: Array, moved_s: Array) -> Array:
+        """Return the joint errors (p, 6) with the load's levers (p, 6), which are the same for all arms."""
         shift = np.zeros_like(joints_rad)
         for amplitude, phase, order in zip(self.gears_rad, self.phases_rad, GEAR_ORDERS, strict=False):
             shift = shift + amplitude * np.sin(order * joints_rad + phase)
-        swings = error_columns(chain, joints_rad, points_mm)[..., ::PER_JOINT] / JOINT_OFFSET_RAD
         uneven = 1.0 + UNEVEN * np.sin(joints_rad + self.phases_rad[-1])
-        # A weight does work by the height that a joint moves it, so its moment is that component.
-        shift = shift - self.compliance_rad * uneven * swings[:, 2] / LEVERS_MM
+        shift = shift - self.compliance_rad * uneven * levers
         return np.asarray(shift + self.warm_rad * warmth(moved_s)[:, None])
 
     def shift_mm(self, moved_s: Array) -> Array:
         """Return the drift (p, 3) of the flange in the robot frame, mm, after this motion."""
         return np.asarray(warmth(moved_s)[:, None] * self.warm_mm)
+
+
+def load_levers(chain: Chain, joints_rad: Array, points_mm: Array) -> Array:
+    """Return the lever (p, 6) of a load at (p, 3) mm about each joint, by that of full compliance.
+
+    A weight does work by the height that a joint moves it, so its moment is that component.
+    """
+    swings = error_columns(chain, joints_rad, points_mm)[..., ::PER_JOINT] / JOINT_OFFSET_RAD
+    return np.asarray(swings[:, 2] / LEVERS_MM)
 
 
 def _draw_shift_mm(random: np.random.Generator, sizes_mm: tuple[float, float]) -> Array:
