@@ -25,7 +25,7 @@ from typing import Any
 import gecatsim  # type: ignore[import-not-found]  # only in the environment that scans
 import itk  # type: ignore[import-not-found]  # likewise
 import numpy as np
-from itk import RTK as rtk  # type: ignore[import-not-found]  # noqa: N811 - as its own examples name it
+from itk import RTK as rtk  # noqa: N811 - as its own examples name it
 
 SOURCE_MM, DETECTOR_MM = 540.0, 950.0  # from the source to the isocentre, to the detector
 COLUMNS, ROWS, CELL_MM = 520, 68, (0.9, 1.2)

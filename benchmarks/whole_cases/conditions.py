@@ -10,7 +10,7 @@ from ronna_hw.arm.catalogue import ArmChoice
 from sim.world.scene.model import SEATING_ERROR_MM
 
 COMPARED_WITH = "ocs"  # the default strategy
-FIRST = (COMPARED_WITH, "improved", "jdms", "best", "thesis-ocs", "nos")
+FIRST = (COMPARED_WITH, "learning", "improved", "jdms", "best", "thesis-ocs", "nos")
 SET_S_SEATING_MM = 0.22  # per axis: parameter set S has its spheres 0.38 mm off their places, 3-D rms
 CALIBRATED = ("--calibrated",)
 THESIS_LOCALIZERS = ("thesis-sphere", "thesis-line")

@@ -121,7 +121,7 @@ def tabulate_spheres(title: str, condition: str, streaks: str, sums: Mapping[str
     """Tabulate the sums of `count_spheres` by condition and together, and compare them with the goals."""
     together = pool(sums.values())
     rows = [
-        {condition: name} | _make_row(kind, total)
+        {condition: name, **_make_row(kind, total)}
         for name, total in [*sums.items(), ("all", together)]
         for kind in KINDS
         if total.get(f"{kind}|spheres")

@@ -20,5 +20,5 @@ def test_localization_and_seating_add_as_variances_on_each_of_three_axes() -> No
 
 def test_a_study_seats_spheres_as_the_default_scene_and_the_planner_do() -> None:
     assert AS_IN_A_CASE.seating_mm == SEATING_ERROR_MM == USUAL_SEATING_MM
-    assert FINE_CT_MM == AS_IN_A_CASE.rms_mm
+    assert AS_IN_A_CASE.rms_mm == FINE_CT_MM
     assert CT_FLE_MM == SET_S_RMS_MM
