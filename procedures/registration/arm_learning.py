@@ -98,6 +98,9 @@ LARGEST_SHARE, LARGEST_SCATTER_MM = 2.9, 0.06
 
 HYPOTHESES = tuple(Hypothesis(*both) for both in product(SHARES, SCATTERS_MM))
 STATED = Hypothesis(1.0, 0.0)
+ACCEPTABLE = np.array(
+    [one.share <= LARGEST_SHARE and one.scatter_mm <= LARGEST_SCATTER_MM for one in HYPOTHESES]
+)
 PRIOR = np.array(
     [
         -0.5 * (math.log(one.share) / SHARE_SD) ** 2 + math.log(SCATTERS_MM[one.scatter_mm])
@@ -163,8 +166,7 @@ class ArmLearning:
     @cached_property
     def acceptable(self) -> ResidualCheck:
         """Residual under the most probable hypothesis that an arm is accepted with, for the gate."""
-        within = [one.share <= LARGEST_SHARE and one.scatter_mm <= LARGEST_SCATTER_MM for one in HYPOTHESES]
-        best = int(np.where(within, self.probabilities, -1.0).argmax())
+        best = int(np.where(ACCEPTABLE, self.probabilities, -1.0).argmax())
         return ResidualCheck(float(self.chi_squares[best]), self.looks.residuals_mm.size - 6)
 
     @cached_property

@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from scipy.special import logsumexp
 
-from procedures.registration.arm_learning import HYPOTHESES, PRIOR, Source, covariance_of
+from procedures.registration.arm_learning import ACCEPTABLE, HYPOTHESES, PRIOR, Source, covariance_of
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, chi_square_limit, error_limit_mm
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import (
@@ -44,11 +44,12 @@ class Judged:
     shifts_mm: Array  # (a, t, 3)
     covariances_mm2: Array  # (a, t, 3, 3)
     chi_squares: Array  # (a,)
+    gated: Array  # (a,) the same under what an arm is accepted with
     freedom: int
 
     def refused(self, confidence: float) -> Array:
         """Mark the arms (a,) whose residual is beyond its limit of this confidence."""
-        return np.asarray(self.chi_squares > chi_square_limit(self.freedom, confidence))
+        return np.asarray(self.gated > chi_square_limit(self.freedom, confidence))
 
     def limits_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> Array:
         """Return the limits (a, t) of the errors, widened where the residual is too large."""
@@ -111,8 +112,11 @@ class PlannedAdjustment:
         apart = shifts - mean[:, None]
         covariances = np.einsum("ah,thij->atij", odds, self.covariances_mm2)
         covariances = covariances + np.einsum("ah,ahti,ahtj->atij", odds, apart, apart)
-        best = odds.argmax(axis=1)
-        return Judged(mean, covariances, chi_squares[np.arange(len(flat)), best], flat.shape[1] - 6)
+        arms = np.arange(len(flat))
+        best, accepted = odds.argmax(axis=1), np.where(ACCEPTABLE, odds, -1.0).argmax(axis=1)
+        return Judged(
+            mean, covariances, chi_squares[arms, best], chi_squares[arms, accepted], flat.shape[1] - 6
+        )
 
 
 @dataclass(frozen=True)
@@ -143,7 +147,7 @@ class PlainRegistration:
         chi_squares = np.einsum("ai,ij,aj->a", flat, self.weight, flat)
         shape = (len(flat), *self.covariances_mm2.shape)
         covariances = np.broadcast_to(self.covariances_mm2, shape)
-        return Judged(np.zeros(shape[:-1]), covariances, chi_squares, flat.shape[1] - 6)
+        return Judged(np.zeros(shape[:-1]), covariances, chi_squares, chi_squares, flat.shape[1] - 6)
 
 
 def _covariance_with(sources: Sequence[Source]) -> Array:

@@ -18,6 +18,7 @@ from procedures.calibration.arm_sources import REPEATABILITY_MM, SERVO_MM, ArmPo
 from procedures.registration.arm_learning import Source, share_by_sphere
 from procedures.registration.look_choice import Candidates, choose_looks
 from procedures.strategies.catalogue import CANDIDATES, find_strategy
+from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, unit_errors
@@ -26,7 +27,7 @@ from studies.accuracy.many_learned import TargetSources
 from studies.accuracy.phantom import Phantom
 from studies.accuracy.postures import ARM, TOOL_MM, Postures, plan_candidates, plan_postures
 from studies.accuracy.random_arms import PlannedPoses
-from studies.accuracy.scene import AXES, BEST, FROM
+from studies.accuracy.scene import AXES, BEST
 
 LEARNING = "learning"
 SEPARATE = ("nos", "ocs", "thesis-ocs", "jdms", "improved")
@@ -151,7 +152,7 @@ class CasePlanner:
 
     def candidates(self) -> PlannedLooks:
         """Plan the poses of all strategies at each target's free angle, all used for all. Raises STU-010."""
-        planned = self.postures[FROM[0]]
+        planned = self.postures[DEFAULT_STRATEGY]
         found, sides, draws = [], [], []
         for (kind, strategy), (target, trajectory) in product(
             enumerate(CANDIDATES), enumerate(planned.trajectories)

@@ -39,9 +39,9 @@ from studies.strategies.case_plans import (
 from studies.strategies.study import DEPTHS_MM
 from studies.strategies.unmodelled_arm import DIAL_MM, GAUGE_S, READINGS, TARGET_S
 
-PLACES = tuple(range(9, 17))  # the other studies use 1 to 8
-FIRST_TRAJECTORY = 10  # and the first ten
-DRAWN = 40
+PLACES = tuple(range(17, 25))  # other studies use 1 to 8, an earlier run of this one 9 to 16
+FIRST_TRAJECTORY = 40  # likewise: the first ten, and 40
+DRAWN = 80
 TARGETS_OF_CASE, CASES = 3, 3  # at each place
 SHARES = (0.5, 1.0, 2.0)
 SCENARIOS = {
