@@ -21,6 +21,7 @@ from procedures.exchange.errors import NOT_WRITABLE
 from procedures.exchange.run_objects import Fits, run_objects
 from procedures.exchange.sphere_files import document, slicer_markups, table
 from procedures.exchange.trajectory_lines import format_lines, tabulate_lines
+from procedures.journal.results import FramedPose
 from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.inspection import inspect_run
@@ -114,6 +115,10 @@ def _registration_texts(fits: Fits, ct: export_tables.CtIdentity) -> dict[str, s
         shared = allowed_fields.pick_allowed(plain, allowed_fields.REGISTRATION_FIELDS)
         for one in fit.result.predictions:
             row = {"trajectory": one.target, **shared, **describe_prediction(one)}
+            at_target = FramedPose.of(
+                fit.result.robot_from_ct_at(one.target)
+            )  # as a learned arm is sent there
+            row["robot_from_ct"] = at_target.model_dump(mode="json")
             rows.append({**row, "record": fit.record.sha256})
     content = {**ct.describe(export_tables.ROBOT_FROM_CT), "registrations": rows}
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
@@ -125,12 +130,12 @@ def _registration_table(fits: Fits, ct: export_tables.CtIdentity) -> str:
     elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]
     rows = []
     for fit in fits.values():
-        matrix = fit.result.robot_from_ct.transform.as_matrix()[:3].ravel().tolist()
-        shared = {**dict(zip(elements, matrix, strict=True)), **ct.describe(export_tables.ROBOT_FROM_CT)}
-        shared |= {"pairs": fit.result.pairs, "fre_mm": fit.result.fre_mm}
-        rows += [
-            {"trajectory": one.target, **shared, **describe_prediction(one)} for one in fit.result.predictions
-        ]
+        shared = {**ct.describe(export_tables.ROBOT_FROM_CT), "pairs": fit.result.pairs}
+        shared["fre_mm"] = fit.result.fre_mm
+        for one in fit.result.predictions:
+            matrix = fit.result.robot_from_ct_at(one.target).as_matrix()[:3].ravel().tolist()
+            pose = dict(zip(elements, matrix, strict=True))
+            rows.append({"trajectory": one.target, **pose, **shared, **describe_prediction(one)})
     return export_tables.format_table("registrations.csv", rows)
 
 

@@ -18,6 +18,7 @@ from procedures.engine.case import results_of
 from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.case_results import reached_lines
 from procedures.journal.journal import Entry, Line, theatre_time_s
+from procedures.journal.results import FramedPose
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.reporting.tables import target_rows
@@ -141,7 +142,7 @@ def targets_table(reading: RunReading, truth: Truth) -> RunTable:
         target_mm = tip_mm = np.array(NOWHERE)
         tip_ct_mm = NOWHERE if line is None else line.end_mm
         if registration is not None:
-            robot_from_ct = registration.result.robot_from_ct.transform
+            robot_from_ct = registration.result.robot_from_ct_at(planned.id)
             target_mm, tip_mm = robot_from_ct.apply(planned.target_mm), robot_from_ct.apply(tip_ct_mm)
         plain = (planned.id, planned.depth_mm, planned.margin_mm, strategies.get(planned.id, ""))
         prediction = _numbers(None if row is None else row.predicted, "rms_mm", "limit_mm", "confidence")
@@ -207,13 +208,15 @@ def _find_total_covariances_mm2(run: Inspection) -> dict[tuple[str, int], Any]:
 
 
 def registrations_table(run: Inspection) -> RunTable:
-    """Return one row per registration made. Raises REC-001, REC-003."""
+    """Return one row per registration made; with a learned arm, per target. Raises REC-001, REC-003."""
     rows = []
     for stored in results_of(RegisteredRobot, run.records):
-        name, one, pose = stored.record.identifier, stored.result, stored.result.robot_from_ct
-        targets = " ".join(predicted.target for predicted in one.predictions)
-        fit = (one.pairs, one.fre_mm, pose.translation_mm, pose.quaternion_wxyz)
-        rows.append((name, targets, name not in run.superseded, *fit))
+        name, one = stored.record.identifier, stored.result
+        served = [predicted.target for predicted in one.predictions]
+        for targets in [[target] for target in served] if one.learned else [served]:
+            pose = FramedPose.of(one.robot_from_ct_at(targets[0] if targets else None))
+            fit = (one.pairs, one.fre_mm, pose.translation_mm, pose.quaternion_wxyz)
+            rows.append((name, " ".join(targets), name not in run.superseded, *fit))
     return RunTable.of(REGISTRATIONS, rows)
 
 

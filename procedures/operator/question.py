@@ -47,6 +47,7 @@ class Topic(StrEnum):
     WORK_BEGUN = "work_begun"  # through the guide, when it was there before: from which stage it goes on
     SKIN = "skin"  # opened through the guide
     DRILL = "drill"  # the skull is drilled
+    SCANNED = "scanned"  # during the operation: of the head as it is clamped
     BREAKTHROUGH = "breakthrough"  # of the assistant's drill, too early or too late by the CT
     DURA = "dura"  # is opened
     AT_TARGET = "at_target"  # the instrument is at depth; the arm holds until this is answered
@@ -68,13 +69,13 @@ DELIBERATE = frozenset(
         *(Topic.RESUME, Topic.FIRST_MOTION, Topic.REGISTRATION, Topic.REGISTRATION_KEPT, Topic.TOOL_CHECK),
         *(Topic.APPROACH, Topic.WORK_BEGUN, Topic.AT_TARGET, Topic.INSTRUMENT_OUT, Topic.RETREAT, Topic.PARK),
         *(Topic.CALIBRATION, Topic.PAUSE, Topic.HEAD_UNSEEN, Topic.MOVE_FOLLOWED, Topic.CART_MOVED),
-        *(Topic.UNVERIFIED, Topic.BREAKTHROUGH),
+        *(Topic.UNVERIFIED, Topic.BREAKTHROUGH, Topic.SCANNED),
     )
 )
 # Topics of the whole case: their questions name no trajectory.
 OF_THE_CASE = frozenset(
     (
-        *(Topic.PATIENT, Topic.RESUME, Topic.HEAD_CLAMPED, Topic.CART_PLACE),
+        *(Topic.PATIENT, Topic.RESUME, Topic.HEAD_CLAMPED, Topic.SCANNED, Topic.CART_PLACE),
         *(Topic.CART_LOCKED, Topic.SPHERE_COUNT, Topic.TOOL_CHANGE, Topic.PAUSE, Topic.GUARD),
     )
 )

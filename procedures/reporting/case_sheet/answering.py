@@ -17,6 +17,7 @@ SUBJECTS: Mapping[Topic, str] = {
     Topic.PATIENT: "right patient, right plan; the identifier on the wristband is typed",
     Topic.RESUME: "the arm's present position becomes its home, if it was left elsewhere",
     Topic.HEAD_CLAMPED: "head clamped, clamp locked to the table, spheres on",
+    Topic.SCANNED: "scan of the head as it is clamped now",
     Topic.CART_LOCKED: "brakes set; leaned on from each side; everyone stands clear",
     Topic.REGISTRATION: "registration, with the predicted error against the accepted one",
     Topic.PARK: "the way home",

@@ -184,7 +184,7 @@ def compare_registrations(first: RunReading, second: RunReading) -> tuple[Compar
         one, other = used.first.get(name), used.second.get(name)
         apart_mm = turned_deg = None
         if one is not None and other is not None and is_same_ct and name in places.first:
-            poses = one.result.robot_from_ct.transform, other.result.robot_from_ct.transform
+            poses = one.result.robot_from_ct_at(name), other.result.robot_from_ct_at(name)
             target_mm = places.first[name]
             apart_mm = _distance_mm(poses[0].apply(target_mm), poses[1].apply(target_mm))
             turn = Rotation.from_matrix(poses[0].rotation_matrix.T @ poses[1].rotation_matrix)

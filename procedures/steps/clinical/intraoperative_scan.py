@@ -37,7 +37,7 @@ from procedures.intraoperative.placement import (
     require_certain,
 )
 from procedures.journal.results import Values
-from procedures.operator.question import Task
+from procedures.operator.question import Question, Task, Topic
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
@@ -131,13 +131,19 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
     plan, before = context.result(CheckedPlan), context.result(LocalizedFiducials)
     folder = context.clinical.scan_folder
     context.workcell.rest()
+    series = folder / "ct"
+    was_there = series.is_dir()
     context.perform_task(
-        Task(
-            SCAN,
-            f"scan the clamped head with its spheres, and put the series into {folder.name}/ct of the case",
+        Task(SCAN, f"scan the clamped head with its spheres, and put the series into {series.absolute()}")
+    )
+    context.require_yes(
+        Question(
+            Topic.SCANNED,
+            "Was this scan made of the head as it is clamped now?",
+            f"{describe_scan(series)} in {series.absolute()}"
+            + ("; it was there before this step began" if was_there else ""),
         )
     )
-    series = folder / "ct"
     require_scan_of_operation(context.clinical.series, series)
     volume = read_series(
         series, progress=lambda share: context.progress(READING * share, "reading the scan of the operation")
@@ -180,6 +186,16 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
         + f"; expected error of its place in the CT {max(result.expected_mm.values()):.2f} mm rms"
         + ("" if described.is_clinical else f"; by {before.localizer}: {NOT_CLINICAL}"),
     )
+
+
+def describe_scan(series: Path) -> str:
+    """Return how many files a scan has, its series and its date, for the question; never the patient."""
+    files = list_dicom_files(series) if series.is_dir() else []
+    if not files:
+        return "no scan yet"
+    identity = read_scan_identity(series)
+    made = f"of {identity.date}" if identity.date else "without a date"
+    return f"{format_count(len(files), 'file')} {made}"
 
 
 def used_spheres(case: Case) -> LocalizedFiducials:
@@ -323,6 +339,7 @@ STEP = StepSpec(
     "Scan the clamped head",
     Phase.PREPARATION,
     run,
+    asks=(Topic.SCANNED,),
     reads=(ImportedCt, LocalizedFiducials, CheckedPlan, ClampedHead),
     preconditions=needs_arm_home,
 )

@@ -5,6 +5,7 @@ The residual of the fit is never shown as accuracy; the operator accepts the pre
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -38,6 +39,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan, plan_picture
 from procedures.steps.clinical.results import (
     NOT_PREDICTED,
     ErrorShare,
+    LearnedArm,
     LeftOutSphere,
     Prediction,
     RegisteredRobot,
@@ -72,6 +74,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
     left_out = _exclude_beyond_margin(context, plan, predictions)
     methods = context.clinical.methods.describe()
+    learned = pairs.learned({one.target: shift_mm for one, shift_mm in predicted_tips})
     two_way = _compare_both_ways(context, fit, pairs)
     for predicted in predictions:
         if predicted.target in left_out:
@@ -83,7 +86,11 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
             f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
             f"{against[0].caution}\nnot included: {predicted.excluded}"
-            + "".join(f"\n{said}" for said in (predicted.assumed, methods) if said),
+            + "".join(
+                f"\n{said}"
+                for said in (tell_learned(learned, predicted.target), predicted.assumed, methods)
+                if said
+            ),
             trajectory=predicted.target,
             evidence=(error_budget.budget_table(predicted), error_budget.two_way_table(two_way)),
             predicted=against,
@@ -103,13 +110,23 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             two_way=two_way,
             left_out_spheres=left_out_spheres,
             followed=None if move is None else move.record,
-            learned=pairs.learned({one.target: shift_mm for one, shift_mm in predicted_tips}),
+            learned=learned,
             left_out=left_out,
         ),
         summary=f"predicted target error {worst.rms_mm:.2f} mm rms"
         + (f"; {worst.assumed}" if worst.assumed else "")
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out_spheres)
         + "".join(f"; without {name}" for name in left_out),
+    )
+
+
+def tell_learned(learned: LearnedArm | None, target: str) -> str:
+    """Return the correction that a learned arm is given for a target, in words; empty without one."""
+    if learned is None:
+        return ""
+    return (
+        f"{learned.looks} looks also estimate the arm: errors of {learned.share:.0%} of their stated size; "
+        f"it is sent {math.hypot(*learned.corrections_mm[target]):.2f} mm beside the target's true place for them"
     )
 
 
