@@ -1,9 +1,10 @@
 """Outlines measured in pictures by a path tracer that shares nothing with the simulated cameras.
 
-    python -m benchmarks.stereo_head.traced_views [FOLDER]
+    python -m benchmarks.stereo_head.traced_views [FOLDER] [--keep JSON]
 
 Prints one row per light: error, stated error, chi square, refusals. FOLDER holds views by
-`benchmarks/peers/path_tracer.py`; without it the few kept ones are measured, each exposed several times.
+`benchmarks/peers/path_tracer.py`; without it the few kept ones are measured, each exposed several times. The
+rows are also written to a file, to be kept.
 
 A view is linear light in three parts, which are mixed here: the head's own ring of lamps, a theatre lamp from
 above that also lights the drape, and a lamp from the side.
@@ -11,7 +12,8 @@ above that also lights the drape, and a lamp from the side.
 
 from __future__ import annotations
 
-import sys
+import argparse
+import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -214,13 +216,32 @@ def _measure(picture: Picture, view: TracedView, outcome: Outcome) -> None:
 
 
 def main() -> None:
-    views = list(traced_views(Path(sys.argv[1])) if len(sys.argv) > 1 else kept_views())
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--keep", type=Path, metavar="JSON")
+    options = parser.parse_args()
+    views = list(traced_views(options.folder) if options.folder else kept_views())
+    rows: dict[str, dict[str, float]] = {}
     print(f"{'light':30} {'given':>5} {'rms px':>7} {'stated':>7} {'chi2':>5}  refused")
     for light in LIGHTS:
         found = measure_views(views, light)
         refused = "; ".join(f"{count} {why}" for why, count in found.refused.items())
         figures = f"{found.rms_px:7.4f} {found.stated_px:7.4f} {found.chi_square:5.2f}"
         print(f"{light.name:30} {len(found.errors_px):5d} {figures}  {refused}")
+        rows[light.name.replace(",", "").replace(" ", "_")] = _row(found)
+    if options.keep:
+        options.keep.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+def _row(found: Outcome) -> dict[str, float]:
+    row: dict[str, float] = {"given": len(found.errors_px), "refused": sum(found.refused.values())}
+    if found.errors_px:
+        row |= {
+            "rms_px": found.rms_px,
+            "stated_px": found.stated_px,
+            "normalized_square": found.chi_square,
+        }
+    return row
 
 
 if __name__ == "__main__":

@@ -56,12 +56,13 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class EllipseFit:
-    """Fitted ellipse, point weights and residuals (n,), scatter, and covariance of the centre.
+    """Fitted ellipse, its points (n, 2), their weights and residuals (n,), scatter, covariance of the centre.
 
     `centre_gain` is the shift of the centre by a shift of each point, outwards.
     """
 
     ellipse: Ellipse
+    points_px: Array
     weights: Array
     residual_px: Array
     sigma_px: float
@@ -110,7 +111,7 @@ def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -
     inverse = np.linalg.inv(normal)[:2]
     gain: Array = np.asarray(-inverse @ (design * weights[:, None]).T, dtype=float)
     covariance: Array = np.asarray(sigma**2 * inverse[:, :2], dtype=float)
-    return EllipseFit(Ellipse((x, y), (xx, xy, yy)), weights, residual, sigma, gain, covariance)
+    return EllipseFit(Ellipse((x, y), (xx, xy, yy)), points_px, weights, residual, sigma, gain, covariance)
 
 
 def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
