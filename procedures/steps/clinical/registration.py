@@ -126,7 +126,7 @@ def tell_learned(learned: LearnedArm | None, target: str) -> str:
         return ""
     return (
         f"{learned.looks} looks also estimate the arm: errors of {learned.share:.0%} of their stated size; "
-        f"it is sent {math.hypot(*learned.corrections_mm[target]):.2f} mm beside the target's true place for them"
+        f"for them it is sent {math.hypot(*learned.corrections_mm[target]):.2f} mm beside the target's place"
     )
 
 

@@ -113,9 +113,13 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
             if not is_error(problem, *SPHERE_FAILED.errors):
                 raise
             check_room(context, f"without sight of sphere {item.fiducial + 1}")  # the cart may have left
-            left_out.append(
-                _exclude_sphere(context, item.fiducial, problem, len(planned) - len(left_out) - 1)
-            )
+            others = {one.fiducial for one in spheres} | {one.fiducial for _, one in planned[number + 1 :]}
+            if item.fiducial in others:
+                context.find(
+                    f"one look at sphere {item.fiducial + 1} failed, {problem.summary}; others of it remain"
+                )
+            else:
+                left_out.append(_exclude_sphere(context, item.fiducial, problem, len(others)))
             centring.back_off()
             continue
         name = f"stereo-{context.key.trajectory or (axis if learns else 'all')}-{item.fiducial + 1}.png"

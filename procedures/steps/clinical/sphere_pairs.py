@@ -49,6 +49,9 @@ from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 
 CT, SEATING, STEREO = "CT", "seating of the spheres", "stereo measurement"
 NO_SHIFT = np.zeros(3)
+# Of the residual without a sphere that is left out: it must explain the disagreement, not only lessen it.
+# Safety against two spheres that have moved.
+LEFT_OUT_CONFIDENCE = 0.95
 
 
 class Pairs(Protocol):
@@ -262,6 +265,11 @@ class LearnedPairs:
                 gate = self.without(place).gate
                 if gate.passed:
                     found.append((gate.chi_square, place))
+        if len(found) == 1:  # what many looks leave open may hide a second one
+            chi_square, place = found[0]
+            freedom = self.without(place).learning.acceptable.freedom
+            if chi_square > chi_square_limit(freedom, LEFT_OUT_CONFIDENCE):
+                return ()
         return tuple(place for _, place in sorted(found))
 
     def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:

@@ -37,14 +37,16 @@ TOOL_ERROR_MM = np.array([2.5, -1.0, 1.5])
 SPHERE_MM, REST_MM = 0.05, 0.01
 
 
-def pairs(noise: np.random.Generator | None = None, moved_mm: Array | None = None) -> LearnedPairs:
+def pairs(
+    noise: np.random.Generator | None = None, moved_mm: Array | None = None, moved: tuple[int, ...] = (2,)
+) -> LearnedPairs:
     """Return pairs of an arm whose only error is that of its tool, each sphere seen in every orientation."""
     views = list(product(range(len(SPHERES_MM)), TURNS))
     true = SPHERES_MM.copy()
     if noise is not None:
         true += SPHERE_MM * noise.normal(size=true.shape)
     if moved_mm is not None:
-        true[2] += moved_mm
+        true[list(moved)] += moved_mm
     turns = np.array([turn for _, turn in views])
     rows = [sphere for sphere, _ in views]
     physical = ROBOT_FROM_CT.apply(true[rows]) - turns @ TOOL_ERROR_MM
@@ -125,3 +127,9 @@ def test_the_prediction_has_the_spheres_the_arm_and_what_its_model_lacks() -> No
     assert {CT, SEATING, STEREO, "tool frame", LACKING} <= set(found.budget_mm)
     assert found.budget_mm["tool frame"] < 0.1 * TOOL_MM
     assert found.limit_mm() > found.rms_mm
+
+
+def test_two_spheres_that_moved_together_are_not_taken_for_a_third() -> None:
+    some = pairs(np.random.default_rng(3), moved_mm=np.array([0.85, 0.85, 0.0]), moved=(0, 1))
+    assert not some.gate.passed
+    assert len(some.find_moved()) != 1
