@@ -212,6 +212,12 @@ ELSEWHERE: Mapping[str, str] = {
 }
 ADHESIVE = ("ronna-sim phantom --fiducials adhesive --out DIR", "ronna-ct adhesive DIR")
 SERIES = "ronna-campaign localization --series DIR"
+INSERTED = (
+    Figure("report.md", "min:post=polymer:found", 5.0, 6.0),
+    Figure("report.md", "max:post=polymer:rms µm", 0.0, 15.0),
+    Figure("report.md", "max:post=all:rms µm", 0.0, 40.0),
+    Figure("report.md", "max:post=all:false", 0.0, 0.0),
+)
 
 
 def test_every_command_of_the_table_is_run_here_or_by_a_test_that_exists() -> None:
@@ -301,16 +307,10 @@ def test_adhesive_rings_of_a_phantom_are_found(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(HANGS_S)
 def test_spheres_inserted_into_a_series_are_found(tmp_path: Path) -> None:
-    phantom = in_this_process(
-        import_module(COMMANDS["ronna-sim"]).app,
-        "phantom",
-        "--scene",
-        "mini",
-        "--out",
-        str(tmp_path / "head"),
-    )
-    assert phantom.returncode == 0, phantom.stderr
-    program, *words = SERIES.replace("DIR", str(tmp_path / "head" / "ct")).split()
-    out = ("--volumes", "1", *SMALL, "--out", str(tmp_path / "study"))
-    done = in_this_process(import_module(COMMANDS[program]).app, *words, *out)
-    assert done.returncode == 0, done.stderr
+    head, study = tmp_path / "head", tmp_path / "study"
+    painted = in_this_process(import_module(COMMANDS["ronna-sim"]).app, "phantom", "--out", str(head))
+    assert painted.returncode == 0, painted.stderr
+    program, *words = SERIES.replace("DIR", str(head / "ct")).split()
+    small = ("--volumes", "1", *SMALL, "--out", str(study))
+    done = in_this_process(import_module(COMMANDS[program]).app, *words, *small)
+    judge(Trial(figures=INSERTED), done, study)
