@@ -22,6 +22,7 @@ from ronna_hw.calibrated_arm.error_budget import (
 )
 
 REPEATABILITY_MM = 0.015  # per axis, at rest
+REPEATABILITY = "repeatability"  # name of the source whose size no record scales
 SERVO_MM = 0.03  # 3-D rms of the servo's residual
 
 
@@ -111,5 +112,5 @@ def _backlash(
 def _repeatability_errors(spheres: int, servo_mm: float, scatter_mm: float) -> IndependentErrors:
     at_target = np.eye(3) * scatter_mm**2
     at_sphere = at_target + np.eye(3) * servo_mm**2 / 3.0
-    name = "servo and repeatability" if servo_mm else "repeatability"
+    name = f"servo and {REPEATABILITY}" if servo_mm else REPEATABILITY
     return IndependentErrors(name, np.tile(at_sphere, (spheres, 1, 1)), at_target)

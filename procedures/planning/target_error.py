@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
+from procedures.calibration.arm_sources import REPEATABILITY, ArmPoses, arm_sources, ct_errors
 from procedures.imaging.markers import ScanDeformation
 from procedures.imaging.scan_deformation import open_strains
 from procedures.planning.free_angle import choose_free_angles
@@ -28,12 +28,11 @@ from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, PathCheck, Reached
-from procedures.registration.arm_learning import best_influence, share_by_sphere
+from procedures.registration.arm_learning import predict_before_looks, share_by_sphere
 from procedures.registration.target_prediction import (
     IndependentErrors,
     SharedErrors,
     TargetPrediction,
-    predict_by_influence,
     predict_target_error,
 )
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach
@@ -122,7 +121,13 @@ def predict_with_arm(
         else one
         for one in sources
     ]
-    return predict_by_influence(best_influence(spheres, tip_mm, shared), shared)
+    arm = {one.source for one in arm_error_sources(setting, check, identifier, tip_mm)} - {REPEATABILITY}
+    return predict_before_looks(
+        spheres,
+        tip_mm,
+        [one for one in shared if one.source in arm],
+        [one for one in shared if one.source not in arm],
+    )
 
 
 def select_poses(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:

@@ -212,15 +212,16 @@ class ArmLearning:
         """Find the sphere whose displacement moves a target (3,) mm furthest with chi-square in its limit.
 
         `rows` are the looks at each sphere, `sources` all errors under the stated sizes, `most_mm` bounds the
-        displacement. See `target_prediction.find_unnoticed_point`.
+        displacement. A moved sphere makes large errors of the arm more probable, so chi-square is that of the
+        largest with which an arm is accepted. See `target_prediction.find_unnoticed_point`.
         """
-        looks = len(self.looks.points_mm)
-        weight = np.einsum("h,hij->ij", self.probabilities, self.weights).reshape(looks, AXES, looks, AXES)
+        looks, widest = len(self.looks.points_mm), int(np.flatnonzero(ACCEPTABLE)[-1])
+        weight = self.weights[widest].reshape(looks, AXES, looks, AXES)
         influence = best_influence(self.looks.points_mm, target_mm, sources)
         return find_worst_displacement(
             np.array([weight[list(own)][:, :, list(own)].sum(axis=(0, 2)) for own in rows]),
             np.array([influence[list(own)].sum(axis=0) for own in rows]),
-            limit - self.residual.freedom,
+            max(limit - float(self.chi_squares[widest]), 0.0),
             most_mm,
         )
 
@@ -243,6 +244,17 @@ class ArmLearning:
         )
 
 
+def predict_before_looks(
+    points_mm: Array, target_mm: Array, arm: Sequence[Source], others: Sequence[Source]
+) -> TargetPrediction:
+    """Predict a target (3,) mm from looks at points (m, 3) mm that are still to come: by the prior alone."""
+    every = [one.sources(arm, others) for one in HYPOTHESES]
+    predictions = [predict_by_influence(best_influence(points_mm, target_mm, one), one) for one in every]
+    probabilities = np.exp(PRIOR - PRIOR.max())
+    nothing = np.zeros((len(HYPOTHESES), AXES))
+    return _mean_prediction(probabilities / probabilities.sum(), predictions, nothing, 1.0)
+
+
 def best_influence(points_mm: Array, target_mm: Array, sources: Sequence[Source]) -> Array:
     """Return the influence (m, 3, 3) of looks at points (m, 3) mm that predicts the target (3,) mm best."""
     pose, centre = _pose_columns(points_mm), points_mm.mean(axis=0)
@@ -263,8 +275,8 @@ def _mean_prediction(
         for name, part in one.by_source_mm2.items():
             parts[name] = parts.get(name, np.zeros((AXES, AXES))) + probability * part
     parts[SIZES] = np.einsum("h,hi,hj->ij", probabilities, apart_mm, apart_mm)
-    first = predictions[0]
-    return replace(first, by_source_mm2=parts, at_spheres=first.at_spheres | {SIZES}, widening=widening)
+    tested = frozenset[str]().union(*(one.at_spheres for one in predictions)) | {SIZES}
+    return replace(predictions[0], by_source_mm2=parts, at_spheres=tested, widening=widening)
 
 
 def _pose_columns(points_mm: Array) -> Array:

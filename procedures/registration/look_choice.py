@@ -27,6 +27,7 @@ POSE_SD = (*[0.05] * 3, *[20.0] * 3)  # rad, mm
 # A look that lowers the rms error at the targets by less for its seconds is not taken. (U) At 5 s a look, 2.5
 # micrometres.
 LEAST_GAIN_MM_PER_S = 0.0005
+LEAST_RATE_MM_PER_S = 1e-6  # of equal looks, the faster one
 EXCHANGES = 6  # of every chosen look for a better one (Fedorov 1972); two or three change anything
 
 
@@ -48,7 +49,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class ChosenLooks:
-    """Chosen candidates in the order of their use to the targets, and the rms error in mm after each."""
+    """Chosen candidates, and the rms error in mm after each as it was added; the last is that of all."""
 
     candidates: tuple[int, ...]
     rms_mm: tuple[float, ...]
@@ -101,13 +102,15 @@ def choose_looks(
         chosen.append(best)
         design = design.with_look(best)
         rms_mm.append(design.rms_mm)
+    rate = max(least_gain_mm_per_s, LEAST_RATE_MM_PER_S)
     for _ in range(EXCHANGES):
         before = list(chosen)
         for place, look in enumerate(before):
             others = [one for one in chosen if one != look]
             without = reduce(_Design.with_look, others, nothing)  # taking away again is not stable
             free = _allowed(spheres, others, count)
-            best = int(free[without.rms_with_mm()[free].argmin()])
+            cost = without.rms_with_mm() + rate * looks.seconds
+            best = int(free[cost[free].argmin()])
             chosen[place] = best
             design = without.with_look(best)
         if chosen == before:

@@ -23,9 +23,12 @@ from procedures.registration.target_prediction import (
     influence_of_spheres,
     predict_by_influence,
 )
+from procedures.steps.clinical.error_budget import GATE_ARM_RESERVE, arm_covariance_mm2
 from ronna_hw.arrays import Array
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM
 
 AXES = 3
+TOOL_FRAME = "tool frame"  # the source whose share the gate of a case takes as common to all looks
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Judged:
     shifts_mm: Array  # (a, t, 3)
     covariances_mm2: Array  # (a, t, 3, 3)
     chi_squares: Array  # (a,)
-    gated: Array  # (a,) the same under what an arm is accepted with
+    gated: Array  # (a,) the same by the gate of a case
     freedom: int
 
     def refused(self, confidence: float) -> Array:
@@ -124,30 +127,45 @@ class PlainRegistration:
     """Unweighted registration by looks (m,), predicted for `t` targets with the sizes as stated."""
 
     weight: Array  # (3m, 3m) of the residuals, excluding what a pose explains
+    gate_weight: Array  # (3m, 3m) the same with what the gate of a case allows for
     covariances_mm2: Array  # (t, 3, 3)
 
     @classmethod
-    def of(cls, points_mm: Array, targets: Sequence[TargetSources]) -> Self:
-        """Prepare looks at points (m, 3) mm."""
+    def of(cls, points_mm: Array, targets: Sequence[TargetSources], arm_mm: float = UNCALIBRATED_MM) -> Self:
+        """Prepare looks at points (m, 3) mm, of an arm whose record states a sigma per axis."""
         pose = pose_jacobian(points_mm, points_mm.mean(axis=0)).reshape(-1, 6)
-        information = np.linalg.inv(covariance_of([*targets[0].arm, *targets[0].others]))
-        on_pose = information @ pose
+        arm, others = targets[0].arm, targets[0].others
+        weight = _without_pose(np.asarray(np.linalg.inv(covariance_of([*arm, *others]))), pose)
+        reserve = np.kron(np.eye(len(points_mm)), arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm))
+        tool = [one for one in arm if one.source == TOOL_FRAME]
+        gate_weight = _without_pose(
+            np.asarray(np.linalg.inv(covariance_of([*tool, *others]) + reserve)), pose
+        )
         predicted = [
             predict_by_influence(influence_of_spheres(points_mm, one.target_mm), [*one.arm, *one.others])
             for one in targets
         ]
         return cls(
-            np.asarray(information - on_pose @ np.linalg.solve(pose.T @ on_pose, on_pose.T)),
+            weight,
+            gate_weight,
             np.array([one.covariance_mm2 for one in predicted]),
         )
 
     def judge(self, residuals_mm: Array) -> Judged:
         """Judge the registrations of `a` arms by their residuals (a, m, 3)."""
         flat = residuals_mm.reshape(len(residuals_mm), -1)
-        chi_squares = np.einsum("ai,ij,aj->a", flat, self.weight, flat)
+        chi_squares, gated = (
+            np.einsum("ai,ij,aj->a", flat, one, flat) for one in (self.weight, self.gate_weight)
+        )
         shape = (len(flat), *self.covariances_mm2.shape)
         covariances = np.broadcast_to(self.covariances_mm2, shape)
-        return Judged(np.zeros(shape[:-1]), covariances, chi_squares, chi_squares, flat.shape[1] - 6)
+        return Judged(np.zeros(shape[:-1]), covariances, chi_squares, gated, flat.shape[1] - 6)
+
+
+def _without_pose(information: Array, pose: Array) -> Array:
+    """Return the information (3m, 3m) of residuals, excluding what a pose explains."""
+    on_pose = information @ pose
+    return np.asarray(information - on_pose @ np.linalg.solve(pose.T @ on_pose, on_pose.T))
 
 
 def _covariance_with(sources: Sequence[Source]) -> Array:

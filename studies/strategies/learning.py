@@ -21,6 +21,7 @@ from procedures.calibration.arm_sources import SERVO_MM
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.registration.rigid_fit import fit_rigid, residuals
 from ronna_hw.arrays import Array
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM
 from ronna_hw.errors import RonnaError
 from studies.accuracy.many_learned import PlainRegistration, PlannedAdjustment
 from studies.accuracy.phantom import FREE_SPHERES, Markers, Phantom, counts_of, draw_phantom, phantom_pose
@@ -213,10 +214,16 @@ class Prepared:
         shared: dict[tuple[int, ...], list[int]] = defaultdict(list)
         for target, used in enumerate(ordered.used):
             shared[tuple(used.tolist())].append(target)
-        kind, registrations = PlannedAdjustment if learns else PlainRegistration, []
+        arm_mm, registrations = UNCALIBRATED_MM * planner.sizes.links, []
         for key, targets in shared.items():
             used = np.array(key, dtype=np.intp)
-            registrations.append((tuple(targets), used, kind.of(*planner.sources(ordered, used, targets))))
+            points_mm, sources = planner.sources(ordered, used, targets)
+            made = (
+                PlannedAdjustment.of(points_mm, sources)
+                if learns
+                else PlainRegistration.of(points_mm, sources, arm_mm)
+            )
+            registrations.append((tuple(targets), used, made))
         return cls(ordered, ordered.seconds, tuple(registrations))
 
 

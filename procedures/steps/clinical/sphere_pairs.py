@@ -14,6 +14,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from procedures.calibration.arm_sources import REPEATABILITY
 from procedures.engine.context import StepContext
 from procedures.planning.target_error import scan_errors
 from procedures.registration import Registration, register
@@ -32,6 +33,7 @@ from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import (
     AllowedErrors,
     IndependentErrors,
+    SharedErrors,
     UnnoticedPoint,
     check_residuals,
     predict_target_error,
@@ -45,7 +47,6 @@ from procedures.strategies.catalogue import find_strategy
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 
-REPEATABILITY = "repeatability"  # of its sources, the one that is not learned
 CT, SEATING, STEREO = "CT", "seating of the spheres", "stereo measurement"
 NO_SHIFT = np.zeros(3)
 
@@ -116,6 +117,7 @@ class LookedPairs:
     stereo_mm2: Array
     sides_mm2: Array  # of backlashes, where the strategy does not control them
     arm_mm: float  # the arm's sigma per axis
+    scan: SharedErrors  # the CT as a whole
     allowed: AllowedErrors  # by the gate
 
     @classmethod
@@ -147,6 +149,7 @@ class LookedPairs:
             stereo_mm2=stereo_mm2,
             sides_mm2=sides_mm2,
             arm_mm=arm_error_mm(settings, context.workcell.calibrations.arm),
+            scan=scan,
             allowed=error_budget.allowed_errors(
                 context, looks, fine.points_mm, ct_mm2 + seating_mm2 + stereo_mm2 + sides_mm2, scan
             ),
@@ -190,6 +193,7 @@ class LookedPairs:
             seating_mm2=self.seating_mm2[kept],
             stereo_mm2=self.stereo_mm2[kept],
             sides_mm2=self.sides_mm2[kept],
+            scan=replace(self.scan, at_spheres_mm=self.scan.at_spheres_mm[kept]),
             allowed=self.allowed[kept],
         )
 
@@ -295,7 +299,7 @@ class LearnedPairs:
             IndependentErrors(SEATING, self.looked.seating_mm2, nothing),
             IndependentErrors(STEREO, self.looked.stereo_mm2, nothing),
         ]
-        arm, others = self._split([*spheres, *self.errors])
+        arm, others = self._split([*spheres, self.looked.scan, *self.errors])
         return ArmLearning.of(Looks(self.looked.physical_mm - mapped_mm, mapped_mm, arm, others))
 
     def _split(self, sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:

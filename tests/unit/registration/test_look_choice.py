@@ -56,12 +56,13 @@ def choose(most: int, least_gain_mm_per_s: float = 0.0) -> ChosenLooks:
     return choose_looks(looks, TARGETS, at_targets, most, least_gain_mm_per_s)
 
 
-def test_the_stated_error_after_each_look_is_that_of_the_adjustment() -> None:
+def test_the_stated_error_of_all_looks_is_that_of_the_adjustment_and_exchanges_have_lowered_it() -> None:
     looks, at_targets = candidates()
-    found = choose(8)
-    for count in range(4, 9):
-        expected = predicted_rms_mm(looks, at_targets, found.candidates[:count])
-        assert found.rms_mm[count - 1] == pytest.approx(expected, rel=1e-3)
+    for count in range(5, 9):
+        found = choose(count)
+        expected = predicted_rms_mm(looks, at_targets, found.candidates)
+        assert found.rms_mm[-1] == pytest.approx(expected, rel=1e-3)
+        assert found.rms_mm[-1] < found.rms_mm[-2]
 
 
 def test_each_look_after_the_spheres_is_the_one_that_lowers_the_error_most() -> None:
@@ -82,7 +83,7 @@ def test_every_sphere_is_seen_first_and_no_look_is_taken_twice() -> None:
 def test_a_look_that_is_not_worth_its_seconds_is_not_taken() -> None:
     every, few = choose(len(POINTS)), choose(len(POINTS), 0.0005)
     assert 4 <= len(few.candidates) < len(POINTS)
-    assert every.candidates[: len(few.candidates)] == few.candidates
+    assert len(every.candidates) > len(few.candidates)
     gain_mm = every.rms_mm[len(few.candidates) - 1] - every.rms_mm[len(few.candidates)]
     assert gain_mm / 5.0 < 0.0005
 

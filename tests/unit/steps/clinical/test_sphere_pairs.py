@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.journal.results import FramedPose
+from procedures.planning.target_error import SCAN
 from procedures.registration.arm_learning import LACKING
 from procedures.registration.target_prediction import AllowedErrors, IndependentErrors, SharedErrors
 from procedures.steps.clinical.path_check import LocalizationPose
@@ -67,6 +68,7 @@ def pairs(noise: np.random.Generator | None = None, moved_mm: Array | None = Non
             stereo_mm2=np.tile(np.eye(3) * 1e-6, (len(rows), 1, 1)),
             sides_mm2=np.zeros((len(rows), 3, 3)),
             arm_mm=0.1,
+            scan=SharedErrors(SCAN, np.zeros((len(rows), 3, 1)), np.zeros((3, 1))),
             allowed=AllowedErrors(small, TOOL_MM * turns),
         ),
         (
