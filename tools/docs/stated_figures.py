@@ -74,10 +74,12 @@ def read_unkept(kind: str, root: Path = ROOT) -> list[UnkeptFigure]:
 
 
 def compare(figure: StatedFigure, root: Path = ROOT) -> None:
-    """Raise FigureMismatch unless the page states these words and the kept values give them."""
+    """Raise FigureMismatch unless the page states these words once and the kept values give them."""
     where = f"{figure.page}, {figure.states!r}"
-    if not _pattern(figure.states).search((root / figure.page).read_text(encoding="utf-8")):
-        raise FigureMismatch(f"{where}: the page does not state this")
+    times = len(_pattern(figure.states).findall((root / figure.page).read_text(encoding="utf-8")))
+    if times != 1:
+        stated = "does not state this" if not times else f"states this {times} times: add words around it"
+        raise FigureMismatch(f"{where}: the page {stated}")
     path = root / figure.kept
     if not path.exists():
         raise FigureMismatch(f"{where}: {figure.kept} does not exist")

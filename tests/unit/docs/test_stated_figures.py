@@ -49,6 +49,7 @@ def test_a_reason_is_given_only_where_a_page_states_a_figure_without_a_result(on
     ("change", "message"),
     [
         ({"states": "0.54 mm"}, "does not state"),
+        ({"states": "0.55 mm"}, "states this 2 times"),
         ({"kept": "gone.json"}, "gone.json does not exist"),
         ({"values": ("depth.deep",)}, "there is no 'deep'"),
         ({"values": ("depth.other",)}, "gives '0.54 mm'"),
@@ -57,7 +58,7 @@ def test_a_reason_is_given_only_where_a_page_states_a_figure_without_a_result(on
 def test_a_figure_that_is_not_that_of_its_result_is_refused_with_page_and_words(
     change: dict[str, object], message: str, tmp_path: Path
 ) -> None:
-    (tmp_path / "page.md").write_text("The mean is 0.53\nmm.")
+    (tmp_path / "page.md").write_text("The mean is 0.53\nmm, not 0.55 mm, nor again 0.55 mm.")
     (tmp_path / "x.json").write_text(json.dumps({"depth": {"mean": 0.5321, "other": 0.5399}}))
     right = {"page": "page.md", "states": "0.53 mm", "kept": "x.json", "values": ("depth.mean",)}
     right |= {"format": "{:.2f} mm", "command": "ronna-campaign x"}
