@@ -40,7 +40,10 @@ class LeftOutSphere(Values):
 
 
 class Relocalization(StepResult, kind="relocalization", version=2):
-    """Fine positions of the spheres in the room, by the stereo head. Each field has one entry per sphere."""
+    """Fine positions of the spheres in the room, by the stereo head.
+
+    Each field has one entry per look: one for each sphere, with strategy `learning` also several.
+    """
 
     fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
     points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
