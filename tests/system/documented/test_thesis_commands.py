@@ -131,7 +131,7 @@ STUDIES: Mapping[str, Trial] = {
             Figure("report.md", "max::false", 0.0, 0.0),
             Figure(
                 "report.md",
-                "row:method=thesis-sphere;scale errors up to %=0.6667:eq. 36, to the truth, mm",
+                "row:method=thesis-sphere;scale errors up to %=0.6667:eq. 36, to the truth",
                 0.7 * 0.1617,
                 1.3 * 0.1617,
             ),
