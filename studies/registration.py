@@ -158,7 +158,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     **bounds.cells("TRE mm", tre),
                     "eq. 39 mm": predicted_mm,
                     "TRE / eq. 39": tre.value / predicted_mm,
-                    **bounds.cells("gate alarms %", bounds.percent(total["alarms"], runs)),
+                    **bounds.cells("gate alarms %", bounds.percent(total.get("alarms", 0.0), runs)),
                     "FRE2 / ((1 - 2/n) FLE2)": total["fre2"] / runs / (1.0 - 2.0 / int(count)) / FLE_MM**2,
                     **bounds.cells("r of FRE and TRE", _correlate(total), of="r of FRE and TRE"),
                 }

@@ -13,6 +13,7 @@ OTHER_FAULTS = {
     "enabling_switch": "T1 and T2",
     "start_key": "T1 and T2",
     "stick": "the arm's own, seen in its accuracy",
+    "sensor_dead": "of the assistant, seen by its drill",
 }
 
 

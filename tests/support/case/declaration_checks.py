@@ -14,7 +14,8 @@ UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_n
 WITHOUT_UNIT = {
     *("axes", "at", "largest_joint_speed_share"),  # directions, shares
     *("quality", "odds", "confidence", "rim_fraction", "distortion", "widening"),
-    *("refused_share", "bone_agreement"),  # the latter a correlation
+    *("refused_share", "share", "bone_agreement"),  # the latter a correlation
+    "freedom",  # of an estimate: a number
     *("master_errors", "assistant_errors"),  # in standard deviations
     "remaining",  # of an arm's record: a covariance of mm and rad
     *("strain", "covariance", "chi_square", "limit"),  # of a scan's deformation: ratios

@@ -318,6 +318,7 @@ ROWS = (
         for fault in ("emergency stop", "guard open", "collision")
         for steps, host_s in (("set_up", 20), (OTHERS, 5))
     ),
+    Row("robot force sensor dead", OTHERS, DONE),  # the master has none
     Row("robot mode T1", "set_up", DONE),
     Row("robot mode T1", OTHERS, f"{STOPPED} EKI-006", host_s=20),
     *(
@@ -395,6 +396,8 @@ ROWS = (
     Row("camera restart left", "relocalization", "GEV-014 GEV-015", host_s=10),
     # The room: what is moved stays moved. Cart and tracker: the operator agrees to localize again.
     Row("room shift head 0.3 0.4 0 mm", "cart_lock global_localization", DONE, begins=SINCE),
+    Row("room bone thicker -3 mm", "at_target", "done PRO-054", begins=SINCE, arms=("--dual", "--drill")),
+    Row("room drill stalls", "at_target", "ARM-015", begins=SINCE, arms=("--dual", "--drill")),
     Row(
         "room shift head 0.3 0.4 0 mm",
         "path_check relocalization registration tool_change tool_check positioning retreat",

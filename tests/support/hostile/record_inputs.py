@@ -68,7 +68,7 @@ from sim.world.truth import read_samples
 from sim.world.world import World
 from studies.campaign import folder as study_folder
 from studies.campaign.study import add_up
-from studies.correspondence import clinical
+from studies.correspondence import frame_readings
 from studies.registration import RegistrationStudy
 
 ROOM_REQUESTS = (
@@ -175,8 +175,18 @@ def record_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         ),
         "ledger": ((LEDGER,), of(study_folder.FILE, _ledger)),
         "recorded readings": (
-            (b'{"seed": 1, "readings_mm": [[[1, 2, 3], [1, 2, 4], [1, 5, 3], [7, 2, 3]]]}',),
-            of(clinical.READINGS_FILE, lambda _run: clinical.load_or_take_readings(run, 1, 1)),
+            (
+                json.dumps(
+                    {
+                        "seed": 1,
+                        "readings_mm": {
+                            one.name: [[[1, 2, 3], [1, 2, 4], [1, 5, 3], [7, 2, 3]]]
+                            for one in frame_readings.CONDITIONS
+                        },
+                    }
+                ).encode(),
+            ),
+            of(frame_readings.READINGS_FILE, lambda _run: frame_readings.load_or_take_readings(run, 1, 1)),
         ),
     }
 

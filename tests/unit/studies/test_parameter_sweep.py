@@ -299,7 +299,7 @@ def test_what_cannot_be_called_is_refused_before_the_first_point() -> None:
 
 
 def test_a_result_that_is_missing_or_named_as_the_column_of_refusals_is_told_at_once() -> None:
-    with raises(WrongArgument, match=r"returned None at the point {'number': 1}.*Is its return missing"):
+    with raises(WrongArgument, match=r"returned None at the point {'number': [12]}.*Is its return missing"):
         sweep(returns_nothing, number=[1, 2], progress=False)
     with raises(WrongArgument, match=r"a column 'error', .*: 1.*Rename"):
         sweep(returns_an_error_column, number=[1, 2], progress=False)

@@ -273,7 +273,7 @@ def test_how_far_a_patient_may_be_reclined_is_stated_by_the_theatre_file(
     tracker = Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=TRACKER_MM)
     found = coarse_match(
         checked_plan(),
-        CENTRES_CT_MM,
+        localized_fiducials(),
         SPHERES_MM,
         room_prior(checked_plan(), settings, tracker),
         CaseMethods(),
@@ -314,7 +314,7 @@ def test_a_pairing_of_the_thesis_is_refused_where_gravity_excludes_its_orientati
     tracker = Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=TRACKER_MM)
     prior = room_prior(checked_plan(), ProcedureSettings(recline_deg=(0.0, 10.0)), tracker)
     methods = CaseMethods(matcher=Matcher.THESIS)
-    found = coarse_match(checked_plan(), CENTRES_CT_MM, SPHERES_MM, prior, methods)
+    found = coarse_match(checked_plan(), localized_fiducials(), SPHERES_MM, prior, methods)
     assert found.status is MatchStatus.INCONSISTENT
     assert "that the prior excludes" in found.reason
 
