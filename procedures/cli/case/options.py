@@ -293,10 +293,7 @@ class CaseOptions(TheatreOptions):
             raise UsageMistake(
                 f"{given} requires --dual",
                 expected="a case with two arms",
-                got=" ".join(
-                    f"{getattr(self, one)}" for one in ("assistant_arm",) if "--assistant-arm" in given
-                )
-                or None,
+                got=self.assistant_arm if "--assistant-arm" in given else None,
                 action=f"Add --dual, or omit {given}.",
             )
         if self.config is not None and self.plan is not None:
