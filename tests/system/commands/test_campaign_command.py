@@ -37,6 +37,7 @@ def test_a_campaign_writes_tables_and_a_plot_and_recognizes_that_it_is_done(tmp_
         "results.json",
         "units.jsonl",
         "target-error.png",
+        "fre-and-tre.png",
         "formulas-of-the-rigid-fit.csv",
         "what-weighting-by-covariances-gains.csv",
     }
