@@ -25,7 +25,7 @@ from procedures.reporting.tables import TargetRow, target_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import AssistedInsertion, KnownBases
 from procedures.steps.clinical.work_progress import STAGES
-from procedures.workcell.arm_history import ArmHistory, fold_arms
+from procedures.workcell.arm_history import ArmHistory, describe_instrument, fold_arms
 from ronna_hw.evidence.journal_reading import JournalCorrupt
 from ronna_hw.roles import MASTER
 from ronna_hw.text import escape_controls
@@ -175,6 +175,8 @@ def _read_arms(reading: RunReading) -> tuple[ArmHistory, ...]:
 
 def _list_inside(histories: Sequence[ArmHistory]) -> tuple[str, ...]:
     """List what is or may be inside the patient, or in the assistant's holder, by the journal."""
+    if (drill := next((one.held for one in histories if one.held and one.held.drill), None)) is not None:
+        return tuple(filter(None, (describe_instrument(histories[0].place, drill),)))
     said = (
         (one.place.instrument_description, None if one.held is None else one.held.description)
         for one in histories
