@@ -90,6 +90,7 @@ class RunSummary(Values):
     sentence: str
     instrument_in: str | None
     instrument_held_for: str | None
+    drill_held: bool = Field(description="Whether what the assistant held is a drill.")
     work_begun: dict[str, tuple[str, ...]] = Field(description="Confirmed at each target not finished.")
     restarts: int
     resumes: int
@@ -143,6 +144,7 @@ def summarize_run(reading: RunReading) -> RunSummary:
         sentence=ending.sentence,
         instrument_in=ending.instrument_in,
         instrument_held_for=ending.instrument_held_for,
+        drill_held=any(one.held is not None and one.held.drill is not None for one in histories),
         work_begun=_list_work_begun(reading),
         restarts=len(restarts),
         resumes=resumes(run.journal),

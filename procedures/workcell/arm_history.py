@@ -143,7 +143,7 @@ class HeldInstrument:
     @property
     def description(self) -> str:
         """Statement that it is in the holder."""
-        turning = ", MAY BE TURNING, and drilling was begun there" if self.may_turn else ""
+        turning = " and MAY BE TURNING: drilling was begun there" if self.may_turn else ""
         return f"the {self.name} for {self.trajectory} is in the assistant's holder{turning}"
 
 
@@ -451,7 +451,7 @@ def describe_instrument(master: ArmPlace, held: HeldInstrument | None) -> str | 
     """Describe where an instrument is or may be, in the guide or a holder; None if nowhere."""
     if held is not None and held.drill is not None:  # a drill is never told as an instrument
         inside = master.instrument_may_be_inside
-        return held.description + ("" if inside is None else f" and, as far as is known, in {inside}")
+        return held.description + ("" if inside is None else f"; it is or may be in {inside}")
     return master.instrument_description or (None if held is None else held.description)
 
 
