@@ -240,6 +240,10 @@ class StepContext:
         """Assign a task to the room staff and record their readings. Raises PRO-002 if any are missing."""
         return self._questions.perform_task(task)
 
+    def rest_drill(self) -> None:
+        """Have a drill that may be turning switched off. Raises PRO-002."""
+        self._questions.rest_drill()
+
     def request_instrument_removal(self) -> None:
         """Ask the staff to remove any instrument from the guide. Raises PRO-002 unless confirmed."""
         self._questions.request_instrument_removal()

@@ -257,6 +257,7 @@ class Engine:
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
             _ = workcell.master.home_rad  # PRO-001 before set-up
+            self.questions.rest_drill()
             for arm in workcell.outermost_first:
                 if arm.leads_instrument:
                     arm.compare_place()

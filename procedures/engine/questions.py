@@ -11,10 +11,10 @@ from procedures.engine.setting import CaseSetting
 from procedures.journal.journal import Entry, Journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Answer, Question, Task, Topic
-from ronna_hw.wire.room_tasks import EMPTY, OUT
+from procedures.workcell.arm_history import HeldInstrument
+from ronna_hw.wire.room_tasks import EMPTY, OUT, REST_DRILL
 
 IS_OUT, INSIDE = "out", "inside"
-EMPTYING = "take the instrument out of the assistant's holder"
 # In place of a trajectory: where the mandrel is while the guide is checked or its tip calibrated.
 IN_GAUGE, IN_DIVOT = "the gauge", "the divot"
 
@@ -126,24 +126,32 @@ class Questions:
             )
         return readings
 
+    def rest_drill(self) -> None:
+        """Have a drill in the assistant's holder switched off, unless it is: it is not led out turning."""
+        workcell = self._setting.workcell
+        if (held := workcell.held_instrument) is not None and held.may_turn:
+            self.perform_task(Task(REST_DRILL, resting_words(held), held.trajectory))
+            workcell.record_drill_at_rest()
+
     def request_instrument_removal(self) -> None:
-        """Have any instrument in the guide, and in the assistant's holder, removed.
+        """Have any instrument in the guide, and in the assistant's holder, removed, a drill at rest.
 
         Raises PRO-002 unless the operator confirms.
         """
+        self.rest_drill()
         workcell = self._setting.workcell
         instrument, held = workcell.master.instrument, workcell.held_instrument
         if (place := instrument.inside) is None:
             if held is not None:
-                self._empty_holder(held.trajectory)
+                self._empty_holder(held)
             return
         trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
         is_in_doubt = workcell.master.place.assumed
         look = "look whether one is there; if so, " if is_in_doubt else ""
-        self.perform_task(Task(OUT, f"{look}{removal_words(place)}", trajectory))
+        self.perform_task(Task(OUT, f"{look}{removal_words(place, held)}", trajectory))
 
         from_holder = "" if held is None else ", and out of the assistant's holder"
-        asked = f"Is the {_instrument_name(place)} out of {place} and out of the guide{from_holder}?"
+        asked = f"Is the {_instrument_name(place, held)} out of {place} and out of the guide{from_holder}?"
         if place == IN_DIVOT:
             asked = f"Is {place} lowered, and are hands clear of it and of the guide?"
         doubt = "the journal does not say whether one went in; " if is_in_doubt else ""
@@ -152,23 +160,24 @@ class Questions:
             f"{doubt}nothing moves while it is inside; afterwards {workcell.phrases.arms} may move",
             trajectory,
             NotConfirmed(
-                f"an instrument is still in {place}: nothing moves",
-                action=f"By hand, {removal_words(place)}; then repeat the step or send "
+                f"{_spoken(held)} is still in {place}: nothing moves",
+                action=f"By hand, {removal_words(place, held)}; then repeat the step or send "
                 f"{workcell.phrases.arms} home.",
             ),
         )
         instrument.record_removal()
         workcell.release_instrument()
 
-    def _empty_holder(self, trajectory: str) -> None:
-        self.perform_task(Task(EMPTY, EMPTYING, trajectory))
+    def _empty_holder(self, held: HeldInstrument) -> None:
+        emptying = f"take the {held.name} out of the assistant's holder"
+        self.perform_task(Task(EMPTY, emptying, held.trajectory))
         self._require_out(
             "Is the assistant's holder empty?",
-            "an instrument may be in it; afterwards the assistant may move",
-            trajectory,
+            f"{_spoken(held)} may be in it; afterwards the assistant may move",
+            held.trajectory,
             NotConfirmed(
-                "an instrument is still in the assistant's holder",
-                action=f"By hand, {EMPTYING}; then repeat the step or send the arms home.",
+                f"{_spoken(held)} is still in the assistant's holder",
+                action=f"By hand, {emptying}; then repeat the step or send the arms home.",
             ),
         )
         self._setting.workcell.release_instrument()
@@ -181,12 +190,23 @@ class Questions:
             raise refusal
 
 
-def removal_words(place: str) -> str:
+def resting_words(held: HeldInstrument) -> str:
+    """Describe what is done by hand before a drill that may be turning is led out."""
+    return f"switch the drill for {held.trajectory} off"
+
+
+def removal_words(place: str, held: HeldInstrument | None = None) -> str:
     """Describe the manual work required before the arm may leave a place."""
     if place == IN_DIVOT:
         return f"lower {place} from the guide"
-    return f"remove the {_instrument_name(place)} from {place} and from the guide"
+    return f"remove the {_instrument_name(place, held)} from {place} and from the guide"
 
 
-def _instrument_name(place: str) -> str:
-    return "mandrel" if place == IN_GAUGE else "instrument"
+def _instrument_name(place: str, held: HeldInstrument | None) -> str:
+    if place == IN_GAUGE:
+        return "mandrel"
+    return "instrument" if held is None else held.name
+
+
+def _spoken(held: HeldInstrument | None) -> str:
+    return "an instrument" if held is None else f"{'a' if held.drill else 'an'} {held.name}"

@@ -66,8 +66,9 @@ class InsertionDisturbed(RefusedError):
         "instrument out once that is confirmed, and otherwise staff take it out by hand, as is then said."
     )
     by_hand = (
-        "No arm leads the instrument out; move none while it is in the guide. By hand: hold the instrument, "
-        "open the clamp of the assistant's holder, and draw the instrument straight out of the guide. Lock "
+        "No arm leads the instrument out; move none while it is in the guide. By hand: switch off a drill "
+        "that turns, hold the instrument or drill, "
+        "open the clamp of the assistant's holder, and draw it straight out of the guide. Lock "
         "the carts, jog the assistant home with its pendant, then repeat the command"
     )
 

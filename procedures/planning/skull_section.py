@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,9 +14,11 @@ from ronna_hw.arrays import Array
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
 
-OUTSIDE_MM, INSIDE_MM = 10.0, 40.0  # of the entry on the skin: the range searched for bone
+INSIDE_MM = 40.0  # from the entry on the skin inwards: the range searched for bone
 BIT_RADIUS_MM = 1.6  # of the drill, over whose width the HU are averaged
-AIR_CELL_MM = 3.0  # of air or soft tissue within a bone: it goes on behind
+AIR_CELL_MM = 3.0  # of air within a bone: it goes on behind
+AIR_HU = -200.0  # what lies in a gap with less somewhere: soft tissue and dura have more
+NEAR_MM = 10.0  # behind the inside: bone there is told
 TABLE_MM = 3.0  # from a face inwards: the largest HU of its table is within
 
 
@@ -24,25 +27,38 @@ class SkullSection(NamedTuple):
 
     outside_mm: float
     inside_mm: float
+    doubt: str = ""  # what else the CT shows on the way
 
 
 def measure_skull(volume: Volume, trajectory: Trajectory) -> SkullSection | None:
     """Measure the skull along a trajectory, at half the largest HU of each table.
 
-    None if no bone with an inside is met within `INSIDE_MM` of the entry, or the CT ends before.
+    Its inside is the nearest one: bone behind soft tissue, as a calcified dura, is not joined to it. None if
+    no bone with an inside is met within `INSIDE_MM` of the entry, if bone or metal is at the entry itself, or
+    the CT ends before.
     """
-    steps_mm = np.arange(-OUTSIDE_MM, min(INSIDE_MM, trajectory.depth_mm), STEP_MM)
+    steps_mm = np.arange(0.0, min(INSIDE_MM, trajectory.depth_mm), STEP_MM)
     hu = _mean_hu(volume, trajectory, steps_mm)
     bone = np.flatnonzero(hu > BONE_HU)
-    if not len(bone):
+    if not len(bone) or bone[0] == 0:
         return None
-    gaps = np.flatnonzero(np.diff(bone) * STEP_MM > AIR_CELL_MM)
-    first, last = int(bone[0]), int(bone[gaps[0]] if len(gaps) else bone[-1])
+    first, last, doubts = int(bone[0]), int(bone[-1]), list[str]()
+    for end, again in pairwise(bone.tolist()):
+        if again == end + 1:
+            continue
+        gap = f"behind a gap of {(again - end) * STEP_MM:.1f} mm at {steps_mm[end]:.1f} mm"
+        if hu[end:again].min() < AIR_HU and (again - end) * STEP_MM <= AIR_CELL_MM:
+            doubts.append(f"an air cell is in it, the bone goes on {gap}")
+            continue
+        last = end
+        if steps_mm[again] - steps_mm[end] <= NEAR_MM:
+            doubts.append(f"bone goes on {gap}, which counts as its inside")
+        break
     if last + 1 == len(steps_mm):
         return None
     outside_mm = _face_mm(steps_mm[: last + 1], hu[: last + 1], first)
     inside_mm = _face_mm(steps_mm[:first:-1], hu[:first:-1], len(steps_mm) - 1 - last)
-    return SkullSection(outside_mm, inside_mm)
+    return SkullSection(outside_mm, inside_mm, "; ".join(doubts))
 
 
 def _mean_hu(volume: Volume, trajectory: Trajectory, steps_mm: Array) -> Array:

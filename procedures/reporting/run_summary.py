@@ -25,7 +25,7 @@ from procedures.reporting.tables import TargetRow, target_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import AssistedInsertion, KnownBases
 from procedures.steps.clinical.work_progress import STAGES
-from procedures.workcell.arm_history import ArmHistory, fold_arms
+from procedures.workcell.arm_history import ArmHistory, describe_instrument, fold_arms
 from ronna_hw.evidence.journal_reading import JournalCorrupt
 from ronna_hw.roles import MASTER
 from ronna_hw.text import escape_controls
@@ -90,6 +90,7 @@ class RunSummary(Values):
     sentence: str
     instrument_in: str | None
     instrument_held_for: str | None
+    drill_held: bool = Field(description="Whether what the assistant held is a drill.")
     work_begun: dict[str, tuple[str, ...]] = Field(description="Confirmed at each target not finished.")
     restarts: int
     resumes: int
@@ -143,6 +144,7 @@ def summarize_run(reading: RunReading) -> RunSummary:
         sentence=ending.sentence,
         instrument_in=ending.instrument_in,
         instrument_held_for=ending.instrument_held_for,
+        drill_held=any(one.held is not None and one.held.drill is not None for one in histories),
         work_begun=_list_work_begun(reading),
         restarts=len(restarts),
         resumes=resumes(run.journal),
@@ -175,6 +177,8 @@ def _read_arms(reading: RunReading) -> tuple[ArmHistory, ...]:
 
 def _list_inside(histories: Sequence[ArmHistory]) -> tuple[str, ...]:
     """List what is or may be inside the patient, or in the assistant's holder, by the journal."""
+    if (drill := next((one.held for one in histories if one.held and one.held.drill), None)) is not None:
+        return tuple(filter(None, (describe_instrument(histories[0].place, drill),)))
     said = (
         (one.place.instrument_description, None if one.held is None else one.held.description)
         for one in histories

@@ -65,6 +65,14 @@ def _compare_guide(engine: Engine, comparison: Comparison) -> None:
         master.instrument.stages.record_doubt(str(master.instrument.inside))
 
 
+def _tell_tip(assistant: Assistant, travelled_mm: float) -> str:
+    """Tell how far behind the entry the tip of a drill is that may have drilled, or ''."""
+    held = assistant.history.held
+    if held is None or held.drill is None or not held.drill.may_turn:
+        return ""
+    return f", the tip of the drill {travelled_mm - held.drill.entry_mm:.1f} mm behind the entry"
+
+
 def _compare_assistant(
     engine: Engine, assistant: Assistant, previous: InterruptedRun, comparison: Comparison
 ) -> None:
@@ -77,7 +85,7 @@ def _compare_assistant(
         else:
             comparison.notes.append(
                 f"assistant, by its joints: {travelled_mm:.0f} of the {axis.travel_mm:.0f} mm along the bore "
-                f"at {axis.trajectory} are gone"
+                f"at {axis.trajectory} are gone{_tell_tip(assistant, travelled_mm)}"
             )
             _compare_with_frame(engine, axis.trajectory, comparison)
     if assistant.history.base is None and workcell.is_any_arm_out:

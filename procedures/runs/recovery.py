@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RECOVERY_REFUSED
-from procedures.engine.questions import removal_words
+from procedures.engine.questions import removal_words, resting_words
 from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
@@ -156,11 +156,14 @@ def _restore_arm(
     master.restore_history(previous.arm)
     for role, home_rad in set_up.homes_rad.items():
         workcell.arms[role].restore_home(home_rad)
+    if (held := workcell.held_instrument) is not None and held.may_turn:
+        comparison.warnings.append(held.description)
     if (inside := master.place.instrument_may_be_inside) is not None:
+        spoken = "a drill" if held is not None and held.drill is not None else "an instrument"
         comparison.warnings.append(
-            f"the journal does not rule out an instrument in {inside}: one is assumed to be inside"
+            f"the journal does not rule out {spoken} in {inside}: one is assumed to be inside"
             if master.place.assumed
-            else f"an instrument is in {inside}, as the journal says"
+            else f"{spoken} is in {inside}, as the journal says"
         )
     begun = _has_exchange_begun(engine, previous)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
@@ -269,14 +272,17 @@ def _has_exchange_begun(engine: Engine, previous: InterruptedRun) -> bool:
 def _list_first_moves(engine: Engine) -> tuple[str, ...]:
     """Describe the actions that precede the first step."""
     workcell = engine.setting.workcell
-    first = [
-        f"the {arm.spoken_name} leads the instrument straight out of {arm.place.trajectory}"
+    held = workcell.held_instrument
+    name = "instrument" if held is None else held.name
+    first = [f"first, by hand: {resting_words(held)}"] if held is not None and held.may_turn else []
+    first += [
+        f"the {arm.spoken_name} leads the {name} straight out of {arm.place.trajectory}"
         for arm in workcell.outermost_first
         if arm.leads_instrument
     ]
-    by_hand = [] if (place := engine.instrument_in) is None else [removal_words(place)]
-    if (held := workcell.held_instrument) is not None:
-        by_hand.append(f"take the instrument for {held.trajectory} out of the assistant's holder")
+    by_hand = [] if (place := engine.instrument_in) is None else [removal_words(place, held)]
+    if held is not None:
+        by_hand.append(f"take the {name} for {held.trajectory} out of the assistant's holder")
     for words in by_hand:
         first.append(f"{'then' if first else 'first'}, by hand: {words}")
     return (*first, *(words for arm in workcell.outermost_first for words in arm.way_home))

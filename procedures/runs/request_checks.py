@@ -15,7 +15,7 @@ from procedures.journal.free_space import NO_DISK, describe_shortage
 from procedures.runs.fault_script import check_fault_script
 from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
-from ronna_hw.command_line.messages import on_terminal
+from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.config import ARM_RECORDS, TheatreFile, read_theatre_file
 from ronna_hw.control_port import TRUTH_IS_TOLD, VARIABLE, require_theatre
 from ronna_hw.devices.errors import NotInTheatre
@@ -134,7 +134,10 @@ def check_case(request: RunRequest, out: Path) -> None:
         find_strategy(case_procedure.strategy)
     check_theatre(request)
     if request.config is not None:
-        require_one_kind(read_theatre_file(request.config))
+        theatre = read_theatre_file(request.config)
+        require_one_kind(theatre)
+        if theatre.procedure.assistant_drills and len(request.roles) == 1:
+            tell(f"warning: a hand drills: assistant_drills of {request.config} is for --dual")
         case = case_procedure.case or Path()
         around = case.resolve().parent
         if case.resolve() == around / "ct" and (around / "plan.toml").exists():

@@ -107,6 +107,18 @@ class InsertionAxis:
             )
 
 
+class HeldDrill(Values):
+    """State of a drill in the assistant's holder, as recorded in the journal.
+
+    Its tip is at the entry with the clamp `entry_mm` from the start of its axis; it was last switched off
+    with the tip `reached_mm` behind the entry.
+    """
+
+    entry_mm: float
+    may_turn: bool = False
+    reached_mm: float | None = None
+
+
 @dataclass(frozen=True)
 class HeldInstrument:
     """Instrument that is, or may be, in the assistant's holder.
@@ -117,11 +129,22 @@ class HeldInstrument:
     trajectory: str
     tip_mm: float
     at_bore: tuple[str, ...]
+    drill: HeldDrill | None = None  # of one that is a drill
+
+    @property
+    def name(self) -> str:
+        return "instrument" if self.drill is None else "drill"
+
+    @property
+    def may_turn(self) -> bool:
+        """Whether it is a drill that nobody has switched off."""
+        return self.drill is not None and self.drill.may_turn
 
     @property
     def description(self) -> str:
         """Statement that it is in the holder."""
-        return f"the instrument for {self.trajectory} is in the assistant's holder"
+        turning = " and MAY BE TURNING: drilling was begun there" if self.may_turn else ""
+        return f"the {self.name} for {self.trajectory} is in the assistant's holder{turning}"
 
 
 class MotionKind(StrEnum):
@@ -247,6 +270,7 @@ class ArmHistory:
     base: Transform | None = None  # ROBOT <- base, of an assistant, once it is known
     base_uncertain_mm: float = 0.0  # by which its arm may be elsewhere
     held: HeldInstrument | None = None  # by an assistant
+    drilled: Mapping[str, float] = field(default_factory=dict)  # mm behind the entry, by trajectory
 
     def with_line(self, line: Line) -> ArmHistory:
         """Apply one journal line. Raises LookupError, TypeError or ValueError if it is malformed."""
@@ -275,7 +299,7 @@ class ArmHistory:
                 )
                 return replace(self, place=place, instrument_out=inside is None)
             case Entry.HELD:
-                return replace(self, held=_held(line) if line["held"] else None)
+                return self._with_held(line)
             case Entry.STAGE:
                 return self._with_stage(line)
             case Entry.TRACKER:
@@ -284,6 +308,15 @@ class ArmHistory:
                 return self._with_sighting(line)
             case _:
                 return self
+
+    def _with_held(self, line: Line) -> ArmHistory:
+        if not line["held"]:
+            return replace(self, held=None)
+        held = _held(line)
+        if held.drill is None or held.drill.reached_mm is None:
+            return replace(self, held=held)
+        deepest_mm = max(held.drill.reached_mm, self.drilled.get(held.trajectory, 0.0))
+        return replace(self, held=held, drilled={**self.drilled, held.trajectory: deepest_mm})
 
     def _with_sighting(self, line: Line) -> ArmHistory:
         localization, look = (
@@ -416,6 +449,9 @@ def fold_arms(chain: JournalChain, lost: Sequence[Line] = ()) -> tuple[ArmHistor
 
 def describe_instrument(master: ArmPlace, held: HeldInstrument | None) -> str | None:
     """Describe where an instrument is or may be, in the guide or a holder; None if nowhere."""
+    if held is not None and held.drill is not None:  # a drill is never told as an instrument
+        inside = master.instrument_may_be_inside
+        return held.description + ("" if inside is None else f"; it is or may be in {inside}")
     return master.instrument_description or (None if held is None else held.description)
 
 
@@ -430,7 +466,8 @@ def _joints_rad(line: Line) -> JointVector:
 
 def _held(line: Line) -> HeldInstrument:
     tip_mm, at_bore = cast("float", line["tip_mm"]), cast("list[str]", line["at_bore"])
-    return HeldInstrument(str(line["trajectory"]), tip_mm, tuple(at_bore))
+    drill = None if line.get("drill") is None else HeldDrill.model_validate(line["drill"])
+    return HeldInstrument(str(line["trajectory"]), tip_mm, tuple(at_bore), drill)
 
 
 def _fold_line(history: ArmHistory, line: Line) -> ArmHistory:

@@ -295,10 +295,34 @@ class Assistant(SupervisedArm):
 
         The journal has it before anybody is asked to put it in.
         """
-        self._log.write(
-            Entry.HELD, trajectory=held.trajectory, held=True, tip_mm=held.tip_mm, at_bore=list(held.at_bore)
-        )
+        self._write_held(held)
         self._take_into_account()
+
+    def _write_held(self, held: HeldInstrument) -> None:
+        more = {} if held.drill is None else {"drill": held.drill.model_dump(mode="json")}
+        self._log.write(
+            Entry.HELD,
+            trajectory=held.trajectory,
+            held=True,
+            tip_mm=held.tip_mm,
+            at_bore=list(held.at_bore),
+            **more,
+        )
+
+    def record_drill(self, *, may_turn: bool) -> None:
+        """Record that the drill in the holder is about to be switched on, or was switched off, and where."""
+        if (held := self.history.held) is None or held.drill is None:
+            return
+        axis, reached_mm = self.place.axis, held.drill.reached_mm
+        if not may_turn and axis is not None:  # also from beside the axis: it is off in any case
+            clamp = self.flange_pose(self.joints_rad(), axis.arriving) @ self.flange_from_clamp
+            reached_mm = axis.travel_from_start_mm(clamp) - held.drill.entry_mm
+        drill = held.drill.model_copy(update={"may_turn": may_turn, "reached_mm": reached_mm})
+        self._write_held(replace(held, drill=drill))
+
+    def drilled_mm(self, trajectory: str) -> float | None:
+        """Return how far behind the entry a drill was before at a trajectory, None if none was."""
+        return self.history.drilled.get(trajectory)
 
     def release_instrument(self) -> None:
         """Take the holder as empty, once that is confirmed; the arm keeps its distance again."""
@@ -417,11 +441,16 @@ class Assistant(SupervisedArm):
     def lead_out(self, doubt: str = "", guided: GuidedStretch | None = None) -> None:
         """Withdraw the instrument once the operator, told of a `doubt`, has confirmed it."""
         motion = self.withdraw_motion(guided)
-        subject = f"May the assistant lead the instrument straight out of {motion.trajectory}?"
+        subject = f"May the assistant lead {self._led} straight out of {motion.trajectory}?"
         if doubt:
             subject += f" {doubt[0].upper()}{doubt[1:]}."
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
         self.supervised.carry_out(self.withdraw_motion(guided))
+
+    @property
+    def _led(self) -> str:
+        held = self.history.held
+        return "the instrument" if held is None else f"the {held.name}"
 
     @property
     def way_home(self) -> tuple[str, ...]:
@@ -507,7 +536,7 @@ class Assistant(SupervisedArm):
 
     def _along(self, what: MotionKind, axis: InsertionAxis, *legs: LineMove) -> PlannedMotion:
         end = axis.held if what is MotionKind.INSERT else axis.start
-        return PlannedMotion(what, "the instrument", vector3(end.translation_mm), legs, axis=axis)
+        return PlannedMotion(what, self._led, vector3(end.translation_mm), legs, axis=axis)
 
     def _require_allowed(self, motion: PlannedMotion) -> None:
         """Raise unless a motion with an instrument in the guide leads along the axis that it is on."""

@@ -57,8 +57,9 @@ class BothArmsHalted(RefusedError):
 
     code = "DUAL-001"
     action = (
-        "Find out why, touching neither arm nor instrument, then let a named person acknowledge both arms. "
-        "Nothing retreats by itself: the assistant leads its instrument out once that is confirmed."
+        "Find out why, touching neither arm nor instrument, but switch off a drill that turns; then let a "
+        "named person acknowledge both arms. Nothing retreats by itself: the assistant leads its instrument "
+        "or drill out once that is confirmed."
     )
 
 

@@ -188,6 +188,11 @@ class Workcell:
         held = (arm.history.held for arm in self.arms.values())
         return next((one for one in held if one is not None), None)
 
+    def record_drill_at_rest(self) -> None:
+        """Take the drill in a holder as switched off."""
+        for arm in self.assistants:
+            arm.record_drill(may_turn=False)
+
     def release_instrument(self) -> None:
         """Take every holder as empty, once that is confirmed."""
         for arm in self.assistants:

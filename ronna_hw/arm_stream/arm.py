@@ -346,6 +346,7 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
             travel_mm,
             peak_N,
             broke_through=state.result is MotionResult.THROUGH,
+            met_bone=state.result is not MotionResult.BONELESS,
             slowed_s=state.slowed_cycles * cycle_s,
             drilled_s=state.drilled_cycles * cycle_s,
             drilled_N=state.drilled_N,

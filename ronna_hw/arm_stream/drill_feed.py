@@ -3,7 +3,8 @@
 The feed is slowed as the force comes near its limit, and rests until the drill has cut free. A breakthrough
 shows in two ways: beyond a planned depth the force falls to a share of its largest there; at any depth, once
 bone was met, nothing resists over some way. The first tells the inner cortex from the diploe by the CT, the
-second needs no CT and stops a drill in bone that is thinner than the CT shows.
+second needs no CT and stops a drill in bone that is thinner than the CT shows. Where no bone is felt although
+the drill is well behind the skull's outside by the CT, the force says nothing, and the feed stops.
 """
 
 from __future__ import annotations
@@ -27,15 +28,17 @@ class DrillWatch(NamedTuple):
     fall_share: float  # of the largest force beyond `earliest`, below which the inner cortex is cut through
     earliest: float  # from here on such a fall counts
     free: float  # way over which nothing resists
+    bone_by: float  # up to here bone must have been met
 
 
 class DrillFeed:
     """State of one motion of a drill."""
 
     def __init__(self, watch: DrillWatch, cycle_s: float, *, in_bone: bool) -> None:
-        """Begin at the start of a path; `in_bone` if the drill went on from where it had been stopped."""
+        """Begin at the start of a path; `in_bone` if it goes on after a stop, and bone was met before."""
         self._watch = watch
-        self._in_bone = in_bone
+        self.in_bone = in_bone
+        self.has_missed_bone = False
         self._peak_N = 0.0  # beyond `earliest`
         self._resisted = 0.0  # where something last did
         self._falls = self._resting = 0  # cycles
@@ -62,9 +65,10 @@ class DrillFeed:
         if force_N >= watch.free_N:
             self._resisted = along
         if force_N >= watch.touch_N:
-            self._in_bone = True
-        if not self._in_bone:
+            self.in_bone = True
+        if not self.in_bone:
             self._resisted = along
+            self.has_missed_bone = along >= watch.bone_by
             return
         if along >= watch.earliest:
             self._peak_N = max(self._peak_N, force_N)

@@ -107,6 +107,7 @@ def drill_watch(kinematics: Kinematics, start_rad: JointVector, insertion: Inser
         fall_share=drill.fall_share,
         earliest=1.0 - drill.earliest_mm / rest_mm,
         free=drill.free_mm / rest_mm,
+        bone_by=1.0 - drill.bone_by_mm / rest_mm,
     )
 
 

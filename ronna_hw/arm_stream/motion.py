@@ -215,7 +215,7 @@ class MotionFollower(Generic[S]):
             raise self._faults.errors.stopped(
                 f"{self._faults.name}: stopped before its end", got=self._faults.axes_text(state)
             )
-        if state.result not in (MotionResult.DONE, MotionResult.THROUGH):
+        if state.result not in (MotionResult.DONE, MotionResult.THROUGH, MotionResult.BONELESS):
             raise self._faults.refusal_error(state)
         return state
 

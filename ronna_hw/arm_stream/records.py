@@ -114,6 +114,7 @@ class MotionResult(IntEnum):
     FORCE = 10  # stopped on the way by its force limit, and settled
     THROUGH = 11  # stopped on the way because a drill broke through, and settled
     STALLED = 12  # stopped on the way because a drill did not cut, and settled
+    BONELESS = 13  # stopped on the way because a drill had met no bone, and settled
 
 
 class Choice(IntEnum):

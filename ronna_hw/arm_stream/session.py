@@ -407,8 +407,11 @@ class StreamSession(ABC, Generic[M, E]):
         ):
             return MotionResult.REFUSED_LOADED
         self._is_force_exceeded, self._drilled_cycles = False, 0
+        was_in_bone = self._drill is not None and self._drill.in_bone
         self._drill = (
-            None if force.drill is None else DrillFeed(force.drill, self._cycle_s, in_bone=force.goes_on)
+            None
+            if force.drill is None
+            else DrillFeed(force.drill, self._cycle_s, in_bone=force.goes_on and was_in_bone)
         )
         try:
             if isinstance(motion, Move):
@@ -431,7 +434,7 @@ class StreamSession(ABC, Generic[M, E]):
         if (drill := self._drill) is not None:
             self._drilled_cycles += 1
             drill.note(hypot(*force.change_N), points.progress)
-            self._stopping |= drill.has_broken_through or drill.has_stalled
+            self._stopping |= drill.has_broken_through or drill.has_stalled or drill.has_missed_bone
         if points.push(force.change_N):
             self._stopping = True
 
@@ -473,6 +476,8 @@ class StreamSession(ABC, Generic[M, E]):
             return MotionResult.THROUGH
         if self._drill is not None and self._drill.has_stalled:
             return MotionResult.STALLED
+        if self._drill is not None and self._drill.has_missed_bone:
+            return MotionResult.BONELESS
         return MotionResult.STOPPED
 
     def _check_stop(self, stop_word: int) -> None:

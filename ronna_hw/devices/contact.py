@@ -32,7 +32,8 @@ class DrillLimits:
     """Forces and depths by which an arm feeds a drill, and finds that it has broken through.
 
     Between `slow_N` and the force limit the feed is slowed, and rests. Beyond `earliest_mm` before the target
-    a fall of the force counts, elsewhere only a way on which nothing resists.
+    a fall of the force counts, elsewhere only a way on which nothing resists. Without `touch_N` up to
+    `bone_by_mm` before the target the feed ends there.
     """
 
     slow_N: float
@@ -41,6 +42,7 @@ class DrillLimits:
     fall_share: float
     earliest_mm: float
     free_mm: float
+    bone_by_mm: float
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class Inserted:
     travel_mm: float  # along the axis, positive in its direction; by the measured joints
     peak_force_N: float | None  # largest change of the force; None if the arm senses none
     broke_through: bool = False  # of a drill: it ended before the target
+    met_bone: bool = True  # of a drill: else it ended where bone should have been felt
     slowed_s: float = 0.0  # of a drill: with less than the planned feed
     drilled_s: float = 0.0
     drilled_N: tuple[float, ...] = ()  # largest forces in equal parts of the way to the target

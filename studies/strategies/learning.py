@@ -55,10 +55,12 @@ PER_PLACE, PER_CASE = 1_000_000, 10_000  # of the arms' numbers
 REFUSAL = 0.999  # confidence of the limit of the residual
 DIGITS = 4
 SIZES, EFFECTS = "sizes", "effects"
+# A moved sphere is no effect of an arm, and this study moves none.
+ARM_EFFECTS = tuple(one for one in Effect if one not in (Effect.NOTHING, Effect.SPHERE_MOVED))
 # Every case is run under each: name, size of the arm's errors by that stated, effect.
 CONDITIONS = (
     *((f"{SIZES}|{share:g}", share, Effect.NOTHING) for share in SHARES),
-    *((f"{EFFECTS}|{effect}", 1.0, effect) for effect in Effect if effect is not Effect.NOTHING),
+    *((f"{EFFECTS}|{effect}", 1.0, effect) for effect in ARM_EFFECTS),
 )
 # Share of the looks before a bump that is before or after all of them.
 BUMPED_FROM = {Effect.BUMP_BEFORE: 0.0, Effect.BUMP_AFTER: 2.0}

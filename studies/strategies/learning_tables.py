@@ -10,10 +10,10 @@ import numpy as np
 from scipy.stats import wilcoxon
 
 from studies.accuracy.phantom import Markers, counts_of
-from studies.accuracy.unmodelled_effects import Effect
 from studies.campaign.study import Cell, Sums, Table
 from studies.strategies.case_plans import LEARNING, LOOK_S, STRATEGIES
 from studies.strategies.learning import (
+    ARM_EFFECTS,
     EFFECTS,
     ERROR,
     GAUGE,
@@ -61,7 +61,6 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     series = _collect(sums)
     passed_over = sum(one.get(PASSED_OVER, 0.0) for one in sums.values()) / len(SCENARIOS)
     shares = [f"{share:g}" for share in SHARES]
-    effects = [one for one in Effect if one is not Effect.NOTHING]
     return [
         Table.of(
             "Strategies on the same cases",
@@ -102,7 +101,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     series[kind, EFFECTS, effect, strategy, ALL], series[kind, EFFECTS, effect, "ocs", ALL]
                 )
                 for kind in SCENARIOS
-                for effect in effects
+                for effect in ARM_EFFECTS
                 for strategy in STRATEGIES
             ],
             "3, 4 and 5 spheres together. Difference: to `ocs`, where both were used.",

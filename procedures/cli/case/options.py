@@ -152,6 +152,11 @@ class TheatreOptions:
                 "choose one: --sim, or --config FILE",
                 action="--sim simulates a theatre, --config uses the devices of a theatre file.",
             )
+        if self.config is not None and (given := self._list_changed_options(("drill",))):
+            raise UsageMistake(
+                f"{given} and --config cannot be combined",
+                action=f"Omit it, and write assistant_drills = true under [procedure] of {self.config}.",
+            )
         if self.config is not None and (given := self._list_changed_options(SIMULATED)):
             raise UsageMistake(
                 f"{given} and --config cannot be combined",

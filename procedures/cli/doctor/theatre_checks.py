@@ -22,7 +22,7 @@ from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import require_open_files
 from ronna_hw.mistakes import suggest_keys
-from ronna_hw.roles import MASTER
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 CASE_OPEN_FILES = 96  # as a case requires
@@ -67,10 +67,25 @@ def assistant_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     named = {*theatre.robot, *with_records}
     if named & ARM_RECORDS.keys() - {MASTER}:
         yield run_check("records of two arms", "complete", lambda: require_two_arms(theatre))
+    if theatre.procedure.assistant_drills and (why := _why_a_hand_drills(theatre)):
+        yield Diagnostic("assistant_drills", False, f"a hand drills: {why}", "Correct it, or omit the line.")
     for name in theatre.robot:
         if name not in ARM_RECORDS:
             advice = f"Name the table by the role of its arm{suggest_keys(name, tuple(ARM_RECORDS))}."
             yield Diagnostic(f"table robot.{name}", True, "no procedure uses this arm", advice)
+
+
+def _why_a_hand_drills(theatre: TheatreFile) -> str:
+    """Return what keeps the assistant from drilling, as far as the theatre file tells it, or ''."""
+    from procedures.steps.clinical.two_arms.assisted_drilling import FREE_N
+
+    arm = theatre.robot.get(ASSISTANT)
+    if arm is None:
+        return f"the theatre has no [robot.{ASSISTANT}]"
+    error_N = arm.options.get("force_error_N", 0.0)
+    if isinstance(error_N, int | float) and error_N > FREE_N:
+        return f"force_error_N of the assistant is {error_N:g}, above {FREE_N:g} N"
+    return ""
 
 
 def _advise_on_missing_table(config: Path, name: str) -> str:

@@ -73,10 +73,11 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         say(f"taken up {format_count(in_vain, 'time')} without going on from what was left")
     if row.only_leaving:
         say(f"taken up {format_count(row.only_leaving, 'time')} only to go home, or to acknowledge a fault")
+    held = "drill" if row.drill_held else "instrument"
     if row.instrument_in:
-        say(f"the instrument was still in {row.instrument_in}")
+        say(f"the {held} was still in {row.instrument_in}")
     elif row.instrument_held_for:
-        say(f"the instrument for {row.instrument_held_for} was still in the assistant's holder")
+        say(f"the {held} for {row.instrument_held_for} was still in the assistant's holder")
     for name, done in row.work_begun.items():
         say(f"work begun at {name}: {', '.join(done) or 'nothing confirmed yet'}")
     say(f"done: {', '.join(row.done) or 'nothing'}")

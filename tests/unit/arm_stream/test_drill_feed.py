@@ -37,16 +37,17 @@ def watch() -> DrillWatch:
         fall_share=0.4,
         earliest=(EARLIEST_MM - BEGIN_MM) / length_mm,
         free=0.6 / length_mm,
+        bone_by=(CT.outside_mm + 2.0 - BEGIN_MM) / length_mm,
     )
 
 
-def drill(tables: SkullTables, *, harder: float = 1.0, turns: bool = True) -> Drilled:
+def drill(tables: SkullTables, *, harder: float = 1.0, turns: bool = True, scale: float = 1.0) -> Drilled:
     """Feed a drill into a skull until the feed ends, or its way."""
     feed, thrust = DrillFeed(watch(), CYCLE_S, in_bone=False), ThrustModel(harder)
     depth_mm, peak_N, cycles = BEGIN_MM, 0.0, 0
-    while depth_mm < END_MM and not feed.has_broken_through and not feed.has_stalled:
+    while depth_mm < END_MM and not (feed.has_broken_through or feed.has_stalled or feed.has_missed_bone):
         depth_mm += feed.share * FEED_MM_S * CYCLE_S
-        force_N = thrust.advance(tables, depth_mm, CYCLE_S if turns else 0.0)
+        force_N = scale * thrust.advance(tables, depth_mm, CYCLE_S if turns else 0.0)
         feed.note(force_N, (depth_mm - BEGIN_MM) / (END_MM - BEGIN_MM))
         peak_N, cycles = max(peak_N, force_N), cycles + 1
     return Drilled(depth_mm, peak_N, cycles * CYCLE_S, feed)
@@ -105,6 +106,25 @@ def test_a_drill_that_does_not_turn_is_held_and_given_up() -> None:
     assert drilled.peak_N < LIMIT_N
     assert drilled.depth_mm < CT.outside_mm + 1.0
     assert drilled.lasted_s > LONGEST_REST_S
+
+
+@pytest.mark.hazard(66)
+@pytest.mark.parametrize("scale", [0.0, 0.1])
+def test_a_drill_whose_sensor_feels_no_bone_is_stopped_in_the_outer_table(scale: float) -> None:
+    drilled = drill(CT, scale=scale)
+    assert drilled.feed.has_missed_bone
+    assert not drilled.feed.has_broken_through
+    assert drilled.depth_mm == pytest.approx(CT.outside_mm + 2.0, abs=0.01)
+
+
+@pytest.mark.hazard(65)
+def test_going_on_after_a_halt_before_the_bone_finds_no_breakthrough_in_air() -> None:
+    feed = DrillFeed(watch(), CYCLE_S, in_bone=False)
+    feed.note(0.3, 0.1)
+    on = DrillFeed(watch(), CYCLE_S, in_bone=feed.in_bone)
+    for step in range(20):
+        on.note(0.3, step / 100.0)
+    assert not on.has_broken_through
 
 
 def test_a_way_through_air_is_no_breakthrough() -> None:

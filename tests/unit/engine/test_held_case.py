@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -18,7 +19,7 @@ from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
 from procedures.steps.conditions import needs_arm_home
 from procedures.workcell import InsertionAxis, MountedTool
-from procedures.workcell.arm_history import ArmPlace, HeldInstrument, PlaceKind
+from procedures.workcell.arm_history import ArmPlace, HeldDrill, HeldInstrument, PlaceKind
 from procedures.workcell.arms import Halt
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
@@ -26,7 +27,7 @@ from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.errors import LimitError, LinkTimeout
 from ronna_hw.frames import Transform
 from ronna_hw.roles import ASSISTANT, MASTER
-from ronna_hw.wire.room_tasks import EMPTY
+from ronna_hw.wire.room_tasks import EMPTY, OUT, REST_DRILL
 
 
 def with_the_guide_on_its_axis(cell: RecordingCell, *refusing: Topic) -> Engine:
@@ -265,8 +266,12 @@ def test_the_arm_does_not_move_until_removal_of_the_instrument_is_confirmed(cell
 class HoldingAssistant(SimpleNamespace):
     """Assistant with an instrument in its holder."""
 
-    def __init__(self) -> None:
-        super().__init__(history=SimpleNamespace(held=HeldInstrument("T1", 170.0, ())), emptied=0)
+    def __init__(self, drill: HeldDrill | None = None) -> None:
+        super().__init__(history=SimpleNamespace(held=HeldInstrument("T1", 170.0, (), drill)), emptied=0)
+
+    def record_drill(self, *, may_turn: bool) -> None:
+        held = self.history.held
+        self.history.held = replace(held, drill=held.drill.model_copy(update={"may_turn": may_turn}))
 
     def release_instrument(self) -> None:
         self.history.held, self.emptied = None, self.emptied + 1
@@ -288,6 +293,21 @@ def test_a_holder_that_may_hold_an_instrument_is_emptied_although_none_is_in_the
     assert [task.name for task in cell.room.worked] == [EMPTY, EMPTY]
     engine.questions.request_instrument_removal()
     assert len(cell.operator.asked) == 2
+
+
+@pytest.mark.hazard(65)
+def test_a_drill_that_may_be_turning_is_switched_off_before_anything_else_on_the_way_out(
+    cell: RecordingCell,
+) -> None:
+    engine = with_the_guide_on_its_axis(cell)
+    assistant = HoldingAssistant(HeldDrill(entry_mm=100.0, may_turn=True))
+    cell.workcell.master.instrument.record_insertion("T1")
+    cell.add_assistant(assistant)
+    assert "MAY BE TURNING" in (engine.setting.workcell.instrument_description or "")
+    engine.questions.request_instrument_removal()
+    assert [task.name for task in cell.room.worked] == [REST_DRILL, OUT]
+    assert "remove the drill" in cell.room.worked[-1].subject
+    assert cell.operator.asked[-1].subject.startswith("Is the drill out of T1")
 
 
 @pytest.mark.hazard(63)

@@ -45,6 +45,24 @@ def test_an_air_cell_in_the_bone_is_no_inside() -> None:
     found = measure_skull(volume(cell, 0.5), INTO_HEAD)
     assert found is not None
     assert found.inside_mm == pytest.approx(12.5, abs=0.3)
+    assert "an air cell" in found.doubt
+
+
+@pytest.mark.hazard(65)
+def test_a_calcified_dura_is_told_and_not_joined_to_the_skull() -> None:
+    found = measure_skull(volume((*HEAD, (14.0, 1000.0), (17.0, 30.0)), 0.5), INTO_HEAD)
+    assert found is not None
+    assert found.inside_mm == pytest.approx(12.5, abs=0.4)
+    assert "bone goes on behind a gap" in found.doubt
+
+
+@pytest.mark.parametrize(("clip", "is_found"), [((-4.0, -3.0), True), ((-1.0, 0.5), False)])
+def test_a_clip_outside_the_skin_is_no_skull(clip: tuple[float, float], is_found: bool) -> None:
+    begin_mm, end_mm = clip
+    around = ((begin_mm, 3000.0), (end_mm, -1000.0 if end_mm < 0.0 else 40.0), *HEAD[end_mm > 0.0 :])
+    found = measure_skull(volume(around, 0.5), INTO_HEAD)
+    assert (found is not None) is is_found
+    assert found is None or found.outside_mm == pytest.approx(5.7, abs=0.25)
 
 
 @pytest.mark.parametrize("layers", [HEAD[:1], (*HEAD[:1], (5.7, 1450.0))], ids=["no bone", "no inside"])

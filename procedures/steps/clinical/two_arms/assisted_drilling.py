@@ -28,10 +28,11 @@ from procedures.steps.clinical.two_arms.over_guide import (
 from procedures.steps.clinical.work_progress import STOP_LIMIT_MM, DepthStop
 from procedures.steps.errors import DEPTH_STOP_WRONG
 from procedures.workcell import InsertionAxis
+from procedures.workcell.arm_history import HeldDrill
 from procedures.workcell.assistant import DrillPlan, GuidedStretch
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, DrillLimits, Inserted
 from ronna_hw.text import format_against_limit
-from ronna_hw.wire.room_tasks import DRILL_HOLDER, REST_DRILL, TURN_DRILL
+from ronna_hw.wire.room_tasks import DRILL_HOLDER, TURN_DRILL
 
 # Safety against a drill fed too fast (U).
 FEED_MM_S = 0.5  # a stop from there takes a hundredth of a mm
@@ -46,7 +47,10 @@ EARLY_MM, LATE_MM = 1.0, 2.0
 BEFORE_BONE_MM = 2.0  # of the tip, where the drill is switched on: more than CT and arms err
 SLOW_SHARE = 0.6  # of the limit: from there on the feed is slowed
 TOUCH_N = 4.0  # skin at its edges and a drill that turns in air take less (U)
-FREE_N = 1.0  # twice the error of a sensor's force; diploe resists with 2 N (U)
+FREE_N = 1.0  # two standard errors of a sensor's force at most; diploe resists with 2 N (U)
+# Safety against a drill whose force says nothing: a wrong scale, a dead axis (U).
+BLIND_MM = 0.5  # by which a feed without bone may have been longer
+BONE_BY_MM = 2.0  # behind the skull's outside by the CT, or behind an opening begun earlier
 FALL_SHARE = 0.4  # of the force in the inner cortex: the point of the drill is through (U)
 FREE_MM = 0.6  # of feed without any resistance: thinner than any diploe without bone (U)
 
@@ -65,6 +69,17 @@ class DrillDepths(NamedTuple):
     def from_mm(self) -> float:
         return self.skull.outside_mm - BEFORE_BONE_MM
 
+    def bone_by_mm(self, begun_mm: float | None) -> float:
+        """Return where bone must have been felt; an opening begun earlier has none up to its bottom.
+
+        Only one that goes deeper than a feed without bone was drilled with bone felt: no repetition adds to
+        a hole that was drilled blindly.
+        """
+        bone_by_mm = self.skull.outside_mm + BONE_BY_MM
+        if begun_mm is None or begun_mm <= bone_by_mm + BLIND_MM:
+            return bone_by_mm
+        return begun_mm + BONE_BY_MM
+
 
 def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpening | None:
     """Have the assistant drill the skull, and return the opening; None if a hand is to drill.
@@ -79,35 +94,43 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
         return None
     stop_mm = stop.bore_mm + stop.standoff_mm + depths.deepest_mm
     limit_N = settings.drill_force_N
+    begun_mm = assistant.drilled_mm(trajectory)
 
     def ask(axis: InsertionAxis) -> str:
         skull, earlier = depths.skull, context.workcell.master.instrument.stages.interruption_at(trajectory)
-        begun = f" DRILLING WAS BEGUN THERE and interrupted: {earlier}." if earlier else ""
+        begun = "" if begun_mm is None else f", with the tip {begun_mm:.1f} mm behind the entry"
+        if begun or earlier:
+            why = f": {earlier}" if earlier else ""
+            begun = f" DRILLING WAS BEGUN THERE{begun}, and interrupted{why}."
+        doubt = f" CAUTION: {skull.doubt}." if skull.doubt else ""
         return (
             f"May the assistant bring the drill over the guide at {trajectory}, lead it at "
             f"{INSERTION_SPEED_MM_S:g} mm/s to {BEFORE_BONE_MM:g} mm off the bone and, once it is switched "
             f"on, drill at {FEED_MM_S:g} mm/s? By the CT the skull is {skull.outside_mm:.1f} to "
             f"{skull.inside_mm:.1f} mm behind the entry; the drill ends where the force shows the "
             f"breakthrough, at {limit_N:g} N, or at {depths.deepest_mm:.1f} mm, where its stop rests on the "
-            f"guide.{begun}"
+            f"guide.{doubt}{begun}"
         )
 
     def load(context: StepContext) -> None:
         _load_drill(context, stop_mm)
 
-    over = bring_over_guide(context, LoadedTool(stop_mm, load, ask))
+    held = HeldDrill(entry_mm=depths.at_entry_mm)
+    over = bring_over_guide(context, LoadedTool(stop_mm, held, load, ask))
     axis = assistant.axis_in_base(over.axis)
     context.progress(0.3, f"the assistant leads the drill to the bone at {trajectory}")
     guided = guided_stretch(context, stop)
     assistant.lead_in(axis, depths.at_entry_mm + depths.from_mm, guided, "the drill")
+    assistant.record_drill(may_turn=True)
     context.perform_task(
         Task(TURN_DRILL, f"switch the drill for {trajectory} on, and keep it running", trajectory)
     )
     context.progress(0.4, f"the assistant drills at {trajectory}")
-    plan = _plan_feed(depths, limit_N, assistant.force_error_N)
+    plan = _plan_feed(depths, limit_N, begun_mm)
     drilled = assistant.drill(axis, plan)
     depth_mm = assistant.require_on_axis() - depths.at_entry_mm
-    context.perform_task(Task(REST_DRILL, f"switch the drill for {trajectory} off", trajectory))
+    context.rest_drill()
+    _require_bone(context, depths, drilled, depth_mm)
     doubt = _accept_breakthrough(context, depths, drilled, depth_mm)
     opening = _build_opening(depths, plan, over, drilled, depth_mm, assistant.force_error_N, doubt)
     context.workcell.master.instrument.stages.record_opening(trajectory, opening.model_dump(mode="json"))
@@ -134,11 +157,20 @@ def _find_depths(context: StepContext, stop: DepthStop) -> DrillDepths | None:
     if not context.workcell.assistant.senses_force:
         context.find(f"at {trajectory} a hand drills: the assistant senses no force")
         return None
+    error_N = context.workcell.assistant.force_error_N
+    if error_N > FREE_N:  # bone could not be told from no bone
+        context.find(
+            f"at {trajectory} a hand drills: the force of the assistant errs by {error_N:g} N "
+            f"(force_error_N), and a breakthrough shows at up to {FREE_N:g} N"
+        )
+        return None
     planned = context.result(CheckedPlan).trajectory(trajectory)
     skull = measure_skull(volume_of(context), planned.trajectory)
     if skull is None:
         context.find(f"at {trajectory} a hand drills: the CT shows no skull with an inside on its way")
         return None
+    if skull.doubt:
+        context.find(f"at {trajectory} the skull in the CT: {skull.doubt}")
     return DrillDepths(skull, ABOVE_GUIDE_MM + stop.bore_mm + stop.standoff_mm)
 
 
@@ -164,18 +196,34 @@ def _load_drill(context: StepContext, stop_mm: float) -> None:
         )
 
 
-def _plan_feed(depths: DrillDepths, limit_N: float, error_N: float) -> DrillPlan:
+def _plan_feed(depths: DrillDepths, limit_N: float, begun_mm: float | None) -> DrillPlan:
     limits = DrillLimits(
         slow_N=SLOW_SHARE * limit_N,
         touch_N=TOUCH_N,
-        free_N=max(FREE_N, error_N),
+        free_N=FREE_N,
         fall_share=FALL_SHARE,
         earliest_mm=BEHIND_SKULL_MM + EARLY_MM,
         free_mm=FREE_MM,
+        bone_by_mm=depths.deepest_mm - depths.bone_by_mm(begun_mm),
     )
     at_entry_mm = depths.at_entry_mm
     return DrillPlan(
         at_entry_mm + depths.from_mm, at_entry_mm + depths.deepest_mm, FEED_MM_S, limit_N, limits
+    )
+
+
+def _require_bone(context: StepContext, depths: DrillDepths, drilled: Inserted, depth_mm: float) -> None:
+    """Raise PRO-007 if no bone was felt where it should have been: the force on the drill says nothing."""
+    if drilled.met_bone:
+        return
+    outside_mm = depths.skull.outside_mm
+    raise GateFailed(
+        f"at {context.trajectory} the drill felt no bone",
+        expected=f"{TOUCH_N:g} N behind the outside of the skull, {outside_mm:.1f} mm behind the entry",
+        got=f"at most {drilled.peak_force_N or 0.0:.1f} N up to {depth_mm:.1f} mm",
+        action="The drill is switched off, and nothing moves. The force sensor may have a wrong scale or a "
+        "dead axis: the drill may be in bone all the same. Send the arms home: the drill is led out once "
+        "that is confirmed. Then drill by hand, and have the sensor checked first.",
     )
 
 

@@ -47,7 +47,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
             f"{OFF_SKIN_MM:g} mm off the skin on at {INSERTION_SPEED_MM_S:g} mm/s; {stopped_by}."
         )
 
-    over = bring_over_guide(context, LoadedTool(stop.read_mm, _load, ask))
+    over = bring_over_guide(context, LoadedTool(stop.read_mm, None, _load, ask))
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
     assistant.insert(assistant.axis_in_base(over.axis), guided_stretch(context, stop))
     # What moved at the end of the way was seen in too few frames.

@@ -32,7 +32,7 @@ from procedures.steps.clinical.two_arms.insertion_axis import (
 from procedures.steps.clinical.two_arms.seen_on_axis import look_before_retreat
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import InsertionAxis
-from procedures.workcell.arm_history import HeldInstrument
+from procedures.workcell.arm_history import HeldDrill, HeldInstrument
 from procedures.workcell.assistant import Assistant, GuidedStretch
 from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.text import format_against_limit
@@ -53,6 +53,7 @@ class LoadedTool(NamedTuple):
     """Tool for the assistant's holder: its tip beyond the clamp, and how it gets there."""
 
     tip_mm: float
+    drill: HeldDrill | None  # of one that is a drill
     load: Callable[[StepContext], None]
     ask: Callable[[InsertionAxis], str]  # whether the assistant may bring it over the guide, and lead it
 
@@ -72,6 +73,7 @@ def bring_over_guide(context: StepContext, tool: LoadedTool) -> OverGuide:
     Raises PRO-002, PRO-007, PLAN-007, DUAL-001 and, for a cart that was moved, as `check_room`.
     """
     workcell, assistant, trajectory = context.workcell, context.workcell.assistant, context.trajectory
+    context.rest_drill()
     if assistant.place.is_on_axis:  # halted on its way earlier
         workcell.start()
         assistant.lead_out(look_back(context))
@@ -87,7 +89,7 @@ def bring_over_guide(context: StepContext, tool: LoadedTool) -> OverGuide:
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
     _present_holder(context, assistant, tool.tip_mm)
     missed += _missed(context, "with the holder empty")
-    assistant.hold_instrument(HeldInstrument(trajectory, tool.tip_mm, _parts_at_bore(context)))
+    assistant.hold_instrument(HeldInstrument(trajectory, tool.tip_mm, _parts_at_bore(context), tool.drill))
     tool.load(context)
     axis, start_rad, via_rad = find_axis(context, assistant, tool.tip_mm, known)
     workcell.start()

@@ -211,6 +211,25 @@ def test_an_arm_in_a_role_that_no_procedure_has_is_named_with_the_role_that_was_
         require_two_arms(theatre)
 
 
+@pytest.mark.hazard(66)
+@pytest.mark.parametrize(
+    ("roles", "error_N", "said"),
+    [(("master",), 1.0, "no [robot.assistant]"), (("master", "assistant"), 1.5, "above 1 N")],
+)
+def test_an_assistant_that_is_to_drill_and_cannot_is_told(
+    roles: tuple[str, ...], error_N: float, said: str
+) -> None:
+    theatre = with_arms(*roles)
+    settings = theatre.procedure.model_copy(update={"assistant_drills": True})
+    arms = {
+        role: arm.model_copy(update={"options": {"force_error_N": error_N}})
+        for role, arm in theatre.robot.items()
+    }
+    *_, found = assistant_diagnostics(theatre.model_copy(update={"procedure": settings, "robot": arms}))
+    assert not found.well
+    assert said in found.seen
+
+
 def test_the_records_of_an_assistant_whose_table_is_misspelt_are_a_problem() -> None:
     theatre = with_arms("master", "asistant")
     records = SimpleNamespace(records={"assistant_arm": object()})

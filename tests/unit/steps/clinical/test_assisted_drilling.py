@@ -18,6 +18,7 @@ from procedures.steps.clinical.two_arms.assisted_drilling import (
     LATE_MM,
     DrillDepths,
     _accept_breakthrough,
+    _require_bone,
     drill_with_assistant,
 )
 from procedures.steps.clinical.work_progress import DepthStop
@@ -72,16 +73,22 @@ def test_a_breakthrough_elsewhere_is_for_the_operator(through: bool, depth_mm: f
 
 
 @pytest.mark.parametrize(
-    ("drills", "senses", "skull", "said"),
+    ("drills", "senses", "skull", "error_N", "said"),
     [
-        (False, True, DEPTHS.skull, ""),
-        (True, False, DEPTHS.skull, "senses no force"),
-        (True, True, None, "no skull with an inside"),
+        (False, True, DEPTHS.skull, 1.0, ""),
+        (True, False, DEPTHS.skull, 1.0, "senses no force"),
+        (True, True, None, 1.0, "no skull with an inside"),
+        (True, True, DEPTHS.skull, 1.5, r"errs by 1.5 N"),
     ],
-    ids=["not asked for", "no force sensor", "no skull in the CT"],
+    ids=["not asked for", "no force sensor", "no skull in the CT", "a force that errs by more than no bone"],
 )
 def test_a_hand_drills_where_the_assistant_cannot(
-    monkeypatch: pytest.MonkeyPatch, drills: bool, senses: bool, skull: SkullSection | None, said: str
+    monkeypatch: pytest.MonkeyPatch,
+    drills: bool,
+    senses: bool,
+    skull: SkullSection | None,
+    error_N: float,
+    said: str,
 ) -> None:
     monkeypatch.setattr(assisted_drilling, "volume_of", lambda _context: None)
     monkeypatch.setattr(assisted_drilling, "measure_skull", lambda *_args: skull)
@@ -92,7 +99,29 @@ def test_a_hand_drills_where_the_assistant_cannot(
         "find": found.append,
         "result": lambda _kind: planned,
         "setting": SimpleNamespace(settings=SimpleNamespace(assistant_drills=drills, drill_force_N=30.0)),
-        "workcell": SimpleNamespace(assistant=SimpleNamespace(senses_force=senses)),
+        "workcell": SimpleNamespace(
+            assistant=SimpleNamespace(
+                senses_force=senses, force_error_N=error_N, drilled_mm=lambda _trajectory: None
+            )
+        ),
     }
     assert drill_with_assistant(cast("StepContext", SimpleNamespace(**fields)), STOP) is None
     assert said in "".join(found)
+
+
+@pytest.mark.hazard(66)
+def test_a_drill_that_felt_no_bone_is_no_opening_and_nobody_is_asked() -> None:
+    context, asked, _ = asked_context(YES)
+    felt_none = Inserted(cast("Any", None), 4.0, 1.4, met_bone=False)
+    with pytest.raises(GateFailed, match=r"felt no bone.*at most 1\.4 N up to 7\.7 mm"):
+        _require_bone(context, DEPTHS, felt_none, 7.7)
+    _require_bone(context, DEPTHS, drilled(), INSIDE_MM)
+    assert not asked
+
+
+@pytest.mark.hazard(66)
+@pytest.mark.parametrize(("begun_mm", "bone_by_mm"), [(None, 7.7), (7.8, 7.7), (10.0, 12.0)])
+def test_bone_is_felt_by_2_mm_behind_its_outside_or_behind_an_opening_begun_in_bone(
+    begun_mm: float | None, bone_by_mm: float
+) -> None:
+    assert DEPTHS.bone_by_mm(begun_mm) == pytest.approx(bone_by_mm)

@@ -117,7 +117,7 @@ def test_a_repeated_step_leads_no_instrument_out_beside_the_bore(monkeypatch: py
     assistant = SimpleNamespace(place=SimpleNamespace(is_on_axis=True), lead_out=lead_out)
     workcell = SimpleNamespace(assistant=assistant, assistants=(assistant,), start=lambda: None)
     fields = {"workcell": workcell, "trajectory": "T1", "setting": SimpleNamespace(clock=None)}
-    context = cast("StepContext", SimpleNamespace(**fields))
+    context = cast("StepContext", SimpleNamespace(**fields, rest_drill=lambda: None))
     monkeypatch.setattr(over_guide, "room_watch", lambda _context: None)
     monkeypatch.setattr(over_guide, "look_before_retreat", seen_beside)
     with pytest.raises(InsertionDisturbed):
