@@ -6,6 +6,7 @@ no longer counts; the plan stays in the CT. What counts instead is the error of 
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from math import dist
 from pathlib import Path
@@ -47,6 +48,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.conditions import needs_arm_home
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
+from ronna_hw.evidence.manifest import sha256_of
 from ronna_hw.text import format_count
 from ronna_hw.vectors import vector3
 from ronna_hw.wire.room_tasks import SCAN
@@ -82,6 +84,7 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     """Spheres found in a scan of the clamped head, in the coordinates of the planning CT."""
 
     ct_from_scan: FusedPose = Field(description="Pose planning CT <- scan.")
+    files_sha256: str = Field(description="SHA-256 of the names and contents of the scan's DICOM files.")
     place_middle_mm: Numbers3 = Field(
         description="Point of the CT about which the pose's rotation is stated."
     )
@@ -102,6 +105,13 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     )
 
     since: ClassVar[str] = "the scan during the operation"
+
+    def file_differences(self, series: Path) -> str:
+        """Say how the files in `series` differ from the scan that was taken; empty if they do not.
+
+        Raises CT-001, CT-005.
+        """
+        return "" if hash_series(series) == self.files_sha256 else "files changed, missing or added"
 
     def count_expected(self, implanted: int) -> int:
         """Return the number of spheres to match: those that the smaller field shows."""
@@ -129,9 +139,8 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
     context.result(ClampedHead)
     context.result(ImportedCt)
     plan, before = context.result(CheckedPlan), context.result(LocalizedFiducials)
-    folder = context.clinical.scan_folder
     context.workcell.rest()
-    series = folder / "ct"
+    series = context.clinical.scan_series
     was_there = series.is_dir()
     context.perform_task(
         Task(SCAN, f"scan the clamped head with its spheres, and put the series into {series.absolute()}")
@@ -145,6 +154,7 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
         )
     )
     require_scan_of_operation(context.clinical.series, series)
+    files_sha256 = hash_series(series)
     volume = read_series(
         series, progress=lambda share: context.progress(READING * share, "reading the scan of the operation")
     )
@@ -168,7 +178,8 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
     for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"scan-{number}.png", picture)
     context.setting.memory.drop(Volume)
-    result = _record(before, found, bone, placed, plan, find_unused(before, volume, found, placed))
+    unused = find_unused(before, volume, found, placed)
+    result = _record(before, found, files_sha256, bone, placed, plan, unused)
     moved = [one for one in result.spheres if not one.agrees and one.ct_sphere is not None]
     for one in moved:
         context.find(
@@ -196,6 +207,12 @@ def describe_scan(series: Path) -> str:
     identity = read_scan_identity(series)
     made = f"of {identity.date}" if identity.date else "without a date"
     return f"{format_count(len(files), 'file')} {made}"
+
+
+def hash_series(series: Path) -> str:
+    """Return the SHA-256 of the names and contents of the DICOM files in a folder. Raises CT-001, CT-005."""
+    listed = "".join(f"{path.name} {sha256_of(path)}\n" for path in list_dicom_files(series))
+    return hashlib.sha256(listed.encode()).hexdigest()
 
 
 def used_spheres(case: Case) -> LocalizedFiducials:
@@ -276,6 +293,7 @@ def estimate_of(result: IntraoperativeSpheres) -> PoseEstimate:
 def _record(
     before: LocalizedFiducials,
     found: Localization,
+    files_sha256: str,
     bone: BonePose,
     placed: PlacedScan,
     plan: CheckedPlan,
@@ -320,6 +338,7 @@ def _record(
         deformation=before.deformation,  # of the CT, in which the plan and the bone stay
         localizer=before.localizer,
         ct_from_scan=FusedPose.of(pose.ct_from_scan),
+        files_sha256=files_sha256,
         place_middle_mm=vector3(pose.middle_mm),
         place_turns_rad=tuple(map(vector3, errors[:, :3])),
         place_shifts_mm=tuple(map(vector3, errors[:, 3:])),
