@@ -26,6 +26,8 @@ SAME_SPHERE_MM = 8.0  # less than two spheres can be apart; one that is farther 
 CONFIDENCE = 0.999  # one false alarm in a thousand scans
 FEWEST_AGREEING = 2  # spheres that are where bone and CT have them: a mirrored scan has hardly any
 # Safety against a scan whose place in the CT is uncertain (U).
+# Safety against the planning CT taken for a scan of the operation (U).
+UNMOVED_SHARE = 1.0 / 3.0  # of the seating error per axis: refitted spheres are hardly ever all that near
 LARGEST_ERROR_MM = 0.5  # expected, rms at a target: as for a fusion
 
 
@@ -100,6 +102,13 @@ def require_certain(pose: PoseEstimate, points_mm: Array) -> None:
             limit=f"expected error of {LARGEST_ERROR_MM:g} mm rms at a target",
             got=f"{format_against_limit(worst_mm, LARGEST_ERROR_MM, 2)} mm",
         )
+
+
+def are_unmoved(placed: PlacedScan, seating_mm: float) -> bool:
+    """Return whether all spheres, three at least, are nearer to their places at the CT than refitted ones."""
+    return len(placed.pairs) >= FEWEST_PAIRS and all(
+        pair.moved_mm < UNMOVED_SHARE * seating_mm for pair in placed.pairs
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -93,6 +94,8 @@ HALVED = 0.5  # of unsigned values of 16 bits, so that they fit into a volume's
 
 _IDENTITY_TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
 _SCAN_DATES = ("AcquisitionDate", "SeriesDate", "StudyDate")  # the nearest to the scan first
+_SCAN_TAGS = (*_IDENTITY_TAGS, *_SCAN_DATES, "StudyDescription", "FrameOfReferenceUID")
+_DATE_FORMATS = {8: "%Y%m%d", 10: "%Y.%m.%d"}  # by length: DICOM, and ACR-NEMA before it
 
 
 @dataclass(frozen=True)
@@ -373,8 +376,17 @@ class ScanIdentity:
     """Whose scan a series is, and which, verbatim; missing attributes are empty."""
 
     patient: PatientIdentity
-    date: str  # YYYYMMDD
+    date: str  # YYYYMMDD, before the year 2000 perhaps YYYY.MM.DD
     study: str  # its description
+    frame_of_reference_uid: str
+
+
+def parse_date(text: str) -> date | None:
+    """Return a date as DICOM or ACR-NEMA write it, or None if it is none."""
+    try:
+        return datetime.strptime(text, _DATE_FORMATS[len(text)]).replace(tzinfo=UTC).date()
+    except (KeyError, ValueError):
+        return None
 
 
 def read_scan_identity(directory: Path) -> ScanIdentity:
@@ -383,7 +395,7 @@ def read_scan_identity(directory: Path) -> ScanIdentity:
     Raises CT-001, CT-002, CT-005, CT-012.
     """
     first = None
-    for path, header in iterate_images(directory, (*_IDENTITY_TAGS, *_SCAN_DATES, "StudyDescription")):
+    for path, header in iterate_images(directory, _SCAN_TAGS):
         first = first or (path, header)
         if read_attribute_text(path, header, "PatientID"):
             return _parse_scan_identity(path, header)
@@ -398,6 +410,7 @@ def _parse_scan_identity(path: Path, header: FileDataset) -> ScanIdentity:
         PatientIdentity(*(read_attribute_text(path, header, keyword) for keyword in _IDENTITY_TAGS)),
         date=next(filter(None, dates), ""),
         study=read_attribute_text(path, header, "StudyDescription"),
+        frame_of_reference_uid=read_attribute_text(path, header, "FrameOfReferenceUID"),
     )
 
 

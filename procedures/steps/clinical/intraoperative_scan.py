@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from datetime import date
 from math import dist
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -20,7 +21,12 @@ from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.fusion.record import FusedPose
-from procedures.imaging.dicom.slice_headers import list_dicom_files, read_scan_identity
+from procedures.imaging.dicom.slice_headers import (
+    ScanIdentity,
+    list_dicom_files,
+    parse_date,
+    read_scan_identity,
+)
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.localizers import LOCALIZERS
 from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker
@@ -34,6 +40,7 @@ from procedures.intraoperative.placement import (
     SAME_SPHERE_MM,
     PlacedScan,
     ScannedSpheres,
+    are_unmoved,
     place_scan,
     require_certain,
 )
@@ -173,6 +180,15 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
     )
     stated_mm = context.setting.settings.seating_error_mm
     placed = place_scan(bone.pose, _scanned(found.markers), _scanned(before.markers), stated_mm)
+    if are_unmoved(placed, stated_mm):
+        farthest_mm = max(pair.moved_mm for pair in placed.pairs)
+        context.require_yes(
+            Question(
+                Topic.SCANNED,
+                "All spheres sit as in the planning CT: is this surely another scan, of the clamped head?",
+                f"within {farthest_mm:.3f} mm, less than refitted spheres do ({stated_mm:g} mm per axis)",
+            )
+        )
     targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
     require_certain(placed.pose, targets_mm)
     for number, picture in enumerate(draw_markers(volume, found), start=1):
@@ -222,16 +238,39 @@ def used_spheres(case: Case) -> LocalizedFiducials:
 
 
 def require_scan_of_operation(ct: Path, scan: Path) -> None:
-    """Raise CBCT-001 without a scan, CBCT-002 for another patient, CBCT-003 for one older than the CT."""
+    """Raise CBCT-001 without a scan, CBCT-002 unless it is of this patient, CBCT-003 unless it is later.
+
+    Neither a scan in the CT's frame of reference nor one without a date is known to be later.
+    """
     if not scan.is_dir():
         raise SCAN_MISSING(f"there is no scan in {scan}")
     before, now = read_scan_identity(ct), read_scan_identity(scan)
     if before.patient.identifier != now.patient.identifier:  # messages never name patients
         raise OTHER_PATIENT("the scan and the planning CT have different patient identifiers")
-    if before.date and now.date and now.date < before.date:
+    if not now.patient.identifier:
+        raise OTHER_PATIENT("neither the scan nor the planning CT has a patient identifier")
+    if before.frame_of_reference_uid == now.frame_of_reference_uid:
+        raise NOT_LATER(
+            "the scan is in the frame of reference of the planning CT, as that reconstructed again would be",
+            expected="another FrameOfReferenceUID",
+            got=now.frame_of_reference_uid or "none in both",
+        )
+    if _date_of(now, "scan") < _date_of(before, "planning CT"):
         raise NOT_LATER(
             "the scan is older than the planning CT", expected="a later date", got="an earlier one"
         )
+
+
+def _date_of(identity: ScanIdentity, what: str) -> date:
+    """Return the date of a scan. Raises CBCT-003 without one."""
+    found = parse_date(identity.date)
+    if found is None:
+        raise NOT_LATER(
+            f"the {what} has no readable date, so the scan is not known to be the later one",
+            expected="such as 20180602",
+            got=repr(identity.date) if identity.date else "none",
+        )
+    return found
 
 
 def _localize_whole(context: StepContext, volume: Volume) -> Localization:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.intraoperative.bone_pose import PoseEstimate
 from procedures.intraoperative.errors import BoneUncertain, SpheresContradict
-from procedures.intraoperative.placement import ScannedSpheres, place_scan, require_certain
+from procedures.intraoperative.placement import ScannedSpheres, are_unmoved, place_scan, require_certain
 from ronna_hw.arrays import Array
 
 CT_MM = np.array(
@@ -69,6 +69,14 @@ def test_stated_errors_of_the_place_are_those_that_it_has() -> None:
         off_mm = (placed.pose.ct_from_scan.apply(CT_FROM_SCAN.inv().apply(TARGET_MM)) - TARGET_MM)[0]
         squares.append(off_mm @ np.linalg.solve(placed.pose.covariances_mm2(TARGET_MM)[0], off_mm) / 3.0)
     assert 0.7 < np.mean(squares) < 1.4
+
+
+def test_spheres_that_sit_as_in_the_ct_are_noticed_and_refitted_ones_are_not() -> None:
+    again = place_scan(bone(), spheres(CT_FROM_SCAN.inv().apply(CT_MM)), spheres(CT_MM), SEATING_MM)
+    assert are_unmoved(again, SEATING_MM)
+    for seed in range(20):
+        placed = place_scan(bone(), spheres(in_scan(CT_MM, seed)), spheres(CT_MM), SEATING_MM)
+        assert not are_unmoved(placed, SEATING_MM)
 
 
 @pytest.mark.parametrize("by_mm", [(1.0, 0.0, 0.0), (0.0, -2.0, 1.5)])

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from coded_errors import raises
+from pydicom import dcmread
 from scanned_head import PLACE_SIGMA_MM, scanned_spheres
 from scipy.spatial.transform import RigidTransform
 
@@ -33,9 +34,9 @@ from sim.world.scene.named_scenes import draw_scene
 TINY = CtProtocol(pixel_mm=1.0, slice_mm=1.0, columns=16, rows=16, slices=1)
 
 
-def write_slice(folder: Path, scene: Scene, date: str) -> Path:
+def write_slice(folder: Path, scene: Scene, date: str, occasion: str = "the operation") -> Path:
     grid = CtGrid((0.0, 0.0, 0.0), 1.0, 1.0, 16, 16, 1)
-    series = DicomSeries(scene.model_copy(update={"ct": TINY}), grid, folder, date=date)
+    series = DicomSeries(scene.model_copy(update={"ct": TINY}), grid, folder, date=date, occasion=occasion)
     series.prepare()
     series.write(0, np.zeros((16, 16), "<u2"))
     return folder
@@ -85,7 +86,7 @@ def test_a_record_of_the_scan_is_read_where_spheres_of_the_ct_are_asked_for() ->
 
 def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
     scene, other = draw_scene("default", seed=1000), draw_scene("default", seed=1001)
-    ct = write_slice(tmp_path / "ct", scene, "20180601")
+    ct = write_slice(tmp_path / "ct", scene, "20180601", "the CT")
     require_scan_of_operation(ct, write_slice(tmp_path / "later", scene, "20180602"))
     with raises(SCAN_MISSING):
         require_scan_of_operation(ct, tmp_path / "nowhere")
@@ -93,6 +94,41 @@ def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
         require_scan_of_operation(ct, write_slice(tmp_path / "older", scene, "20180531"))
     with raises(OTHER_PATIENT):
         require_scan_of_operation(ct, write_slice(tmp_path / "other", other, "20180602"))
+
+
+@pytest.mark.filterwarnings("ignore:Invalid value for VR DA")
+@pytest.mark.parametrize(
+    ("date", "occasion", "words"),
+    [
+        ("20180602", "the CT", "frame of reference of the planning CT"),
+        ("", "the operation", "the scan has no readable date"),
+        ("20181399", "the operation", "got '20181399'"),
+        ("2018.05.31", "the operation", "older than the planning CT"),
+    ],
+)
+def test_a_scan_that_is_not_known_to_be_later_is_refused(
+    tmp_path: Path, date: str, occasion: str, words: str
+) -> None:
+    scene = draw_scene("default", seed=1000)
+    ct = write_slice(tmp_path / "ct", scene, "20180601", "the CT")
+    scan = write_slice(tmp_path / "scan", scene, date, occasion)
+    with raises(NOT_LATER, match=words):
+        require_scan_of_operation(ct, scan)
+
+
+def test_a_scan_of_a_nameless_patient_is_refused(tmp_path: Path) -> None:
+    scene = draw_scene("default", seed=1000)
+    folders = [
+        write_slice(tmp_path / "ct", scene, "20180601", "the CT"),
+        write_slice(tmp_path / "scan", scene, "20180602"),
+    ]
+    for folder in folders:
+        for path in folder.iterdir():
+            header = dcmread(path)
+            header.PatientID = ""
+            header.save_as(path)
+    with raises(OTHER_PATIENT, match="neither"):
+        require_scan_of_operation(*folders)
 
 
 def test_a_sphere_that_the_field_cuts_off_is_named_by_its_number_in_the_ct() -> None:
