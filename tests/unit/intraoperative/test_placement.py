@@ -103,6 +103,26 @@ def test_spheres_that_moved_together_contradict_the_bone() -> None:
         place_scan(bone(), spheres(in_scan(moved_mm)), spheres(CT_MM), SEATING_MM)
 
 
+@pytest.mark.parametrize("by_mm", [(0.4, 0.0, 0.0), (0.0, -0.3, 0.3)])
+def test_spheres_that_moved_together_by_little_contradict_a_bone_that_is_known_better(
+    by_mm: tuple[float, float, float],
+) -> None:
+    scan = spheres(in_scan(CT_MM + np.array(by_mm)))
+    with raises(SpheresContradict, match="together beside where the bone has them"):
+        place_scan(bone(sigma_mm=0.05), scan, spheres(CT_MM), SEATING_MM)
+
+
+@pytest.mark.parametrize("by_mm", [(0.5, 0.0, 0.0), (0.0, 0.35, 0.35), (-0.3, 0.0, 0.3)])
+def test_a_sphere_that_moved_alone_is_named_even_if_all_still_fit_each_other(
+    by_mm: tuple[float, float, float],
+) -> None:
+    moved_mm = CT_MM.copy()
+    moved_mm[2] += by_mm
+    for seed in range(30):
+        placed = place_scan(bone(sigma_mm=0.05), spheres(in_scan(moved_mm, seed)), spheres(CT_MM), SEATING_MM)
+        assert [pair.ct for pair in placed.pairs if not pair.agrees] == [2], seed
+
+
 def test_a_mirrored_scan_contradicts_the_bone_of_a_symmetric_head() -> None:
     with raises(SpheresContradict, match="hardly any sphere"):
         place_scan(bone(), spheres(in_scan(CT_MM * (-1.0, 1.0, 1.0))), spheres(CT_MM), SEATING_MM)
