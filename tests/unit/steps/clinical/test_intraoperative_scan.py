@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clinical_case import ClinicalCell, done_later
 from coded_errors import raises
+from prepared_results import checked_plan, clamped_head, imported_ct, localized_fiducials
 from pydicom import dcmread
 from scanned_head import PLACE_SIGMA_MM, scanned_spheres
 from scipy.spatial.transform import RigidTransform
@@ -17,14 +19,18 @@ from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.intraoperative.bone_pose import PoseEstimate
 from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING
 from procedures.intraoperative.placement import PlacedScan, SpherePair
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.intraoperative_scan import (
     PLACE,
+    STEP,
     IntraoperativeSpheres,
     find_unused,
     require_scan_of_operation,
 )
+from procedures.workcell import MountedTool
 from ronna_hw.records import Record
 from sim.phantom.scanner.dicom_series import DicomSeries
 from sim.phantom.scanner.grid import CtGrid
@@ -82,6 +88,26 @@ def test_a_record_of_the_scan_is_read_where_spheres_of_the_ct_are_asked_for() ->
     )
     (stored,) = results_of(LocalizedFiducials, [record])
     assert stored.result == result
+
+
+def test_a_person_says_that_the_scan_is_of_the_head_as_clamped_and_a_no_takes_nothing_from_it(
+    tmp_path: Path,
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    cell.carrying(MountedTool.STEREO_HEAD).settled()
+    cell.operator.refusing = (Topic.SCANNED,)
+    clinical = cell.setting().clinical
+    assert clinical is not None
+    write_slice(clinical.scan_series, draw_scene("default", seed=1000), "20180602")
+    engine = cell.begin(
+        *(imported_ct(), localized_fiducials(), checked_plan()), done_later(clamped_head()), STEP
+    )
+    with raises(NotConfirmed, match="made of the head as it is clamped now"):
+        engine.run_to()
+    (asked,) = [one for one in cell.operator.asked if one.topic is Topic.SCANNED]
+    assert asked.value_line.startswith("1 file of 20180602 in ")
+    assert asked.value_line.endswith("it was there before this step began")
+    assert engine.case.find(IntraoperativeSpheres, None) is None
 
 
 def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
