@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from procedures.imaging.dicom.attributes import (
     read_attribute_text,
@@ -31,6 +32,8 @@ from procedures.imaging.errors import (
     FramesMixed,
     SeriesMixed,
 )
+from ronna_hw.errors import RonnaError
+from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset
@@ -151,12 +154,26 @@ def read_images(
     """Read `tags` of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
     images = list(iterate_images(directory, tags, progress))
     if not images:
-        inner = directory / CT_FOLDER
-        raise SERIES_EMPTY(
-            f"no DICOM image in {directory}",
-            action=f"Give the folder of the CT itself: {inner}." if inner.is_dir() else None,
-        )
+        _refuse_empty(directory)
     return images
+
+
+def _refuse_empty(directory: Path) -> NoReturn:
+    """Raise CT-002, naming the folders one level deeper that hold DICOM files."""
+    holding: dict[Path, int] = {}
+    for path in sorted(one for one in directory.iterdir() if one.is_dir()):
+        with suppress(RonnaError, OSError):  # a damaged neighbour is not what was asked for
+            holding |= {path: count} if (count := len(list_dicom_files(path))) else {}
+    if not holding:
+        raise SERIES_EMPTY(f"no DICOM image in {directory}")
+    counted = ", ".join(
+        f"{format_count(count, 'DICOM file')} in {one.name}" for one, count in holding.items()
+    )
+    series = directory / CT_FOLDER if directory / CT_FOLDER in holding else next(iter(holding))
+    raise SERIES_EMPTY(
+        f"no DICOM image directly in {directory}, but {counted}",
+        action=f"Give the folder of the series itself, such as {series}, or move its files up.",
+    )
 
 
 def iterate_images(
@@ -400,7 +417,7 @@ def read_scan_identity(directory: Path) -> ScanIdentity:
         if read_attribute_text(path, header, "PatientID"):
             return _parse_scan_identity(path, header)
     if first is None:
-        raise SERIES_EMPTY(f"no DICOM image in {directory}")
+        _refuse_empty(directory)
     return _parse_scan_identity(*first)
 
 

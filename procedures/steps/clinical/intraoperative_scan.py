@@ -7,13 +7,14 @@ no longer counts; the plan stays in the CT. What counts instead is the error of 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import date
 from math import dist
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from procedures.engine.case import Case
@@ -29,7 +30,7 @@ from procedures.imaging.dicom.slice_headers import (
 )
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.localizers import LOCALIZERS
-from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker
+from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker, ScanDeformation
 from procedures.imaging.pictures import draw_markers
 from procedures.imaging.scan_deformation import require_undeformed
 from procedures.imaging.series import read_series
@@ -46,6 +47,7 @@ from procedures.intraoperative.placement import (
 )
 from procedures.journal.results import Values
 from procedures.operator.question import Question, Task, Topic
+from procedures.planning.target_error import scan_errors
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
@@ -91,6 +93,9 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     """Spheres found in a scan of the clamped head, in the coordinates of the planning CT."""
 
     ct_from_scan: FusedPose = Field(description="Pose planning CT <- scan.")
+    ct_deformation: ScanDeformation | None = Field(
+        default=None, description="Stretch and shear of the CT, which act on the targets; none if unknown."
+    )
     files_sha256: str = Field(description="SHA-256 of the names and contents of the scan's DICOM files.")
     place_middle_mm: Numbers3 = Field(
         description="Point of the CT about which the pose's rotation is stated."
@@ -113,6 +118,14 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
 
     since: ClassVar[str] = "the scan during the operation"
 
+    def list_renumbered(self) -> Iterator[str]:
+        """Yield in words which spheres are new or have another number, counted from 1, than in the CT."""
+        for number, one in enumerate(self.spheres, start=1):
+            if one.ct_sphere is None:
+                yield f"sphere {number} is new"
+            elif one.ct_sphere + 1 != number:
+                yield f"sphere {number} is {one.ct_sphere + 1} of the CT"
+
     def file_differences(self, series: Path) -> str:
         """Say how the files in `series` differ from the scan that was taken; empty if they do not.
 
@@ -127,6 +140,26 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     def seating_mm(self, stated_mm: float) -> float:
         """Return no error: the spheres were scanned as they sit."""
         return 0.0
+
+    def scan_errors(self, spheres_mm: Array, target_mm: ArrayLike, rotation: Array) -> SharedErrors:
+        """Return the errors of two stretched or sheared scans: this one's at its spheres, the CT's at a target.
+
+        The CT is placed by the spheres above all, so its error grows with the distance from them.
+        """
+        pose = self.ct_from_scan.rigid
+        to_scan, turn = pose.inv(), pose.rotation.as_matrix()
+        own = scan_errors(
+            self.deformation,
+            to_scan.apply(spheres_mm),
+            to_scan.apply(np.asarray(target_mm, dtype=float)),
+            rotation @ turn,
+        )
+        of_ct = scan_errors(self.ct_deformation, spheres_mm, target_mm, rotation)
+        return SharedErrors(
+            own.source,
+            np.concatenate([own.at_spheres_mm, np.zeros_like(of_ct.at_spheres_mm)], axis=2),
+            np.concatenate([np.zeros_like(own.at_target_mm), of_ct.at_target_mm], axis=1),
+        )
 
     def place_errors(
         self, target_mm: Sequence[float], rotation: Array, spheres: int
@@ -203,6 +236,8 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
         )
     for gone in result.unused:
         context.find(f"sphere {gone.ct_sphere + 1} of the CT is not used: in the scan it {gone.reason}")
+    if renumbered := list(result.list_renumbered()):
+        context.find(f"from here on the spheres are numbered as the scan shows them: {'; '.join(renumbered)}")
     cut = sum(one.is_cut for one in result.spheres)
     return Outcome(
         result,
@@ -338,10 +373,11 @@ def _record(
     plan: CheckedPlan,
     unused: tuple[UnusedSphere, ...],
 ) -> IntraoperativeSpheres:
-    """Return the spheres in the coordinates of the CT, those that it shows first, in its order."""
+    """Return the spheres in the coordinates of the CT: first those of the CT in its order, then new ones."""
     pose, pairs = placed.pose, {pair.scan: pair for pair in placed.pairs}
     order = sorted(
-        range(len(found.markers)), key=lambda index: pairs[index].ct if index in pairs else len(pairs) + index
+        range(len(found.markers)),
+        key=lambda index: (index not in pairs, pairs[index].ct if index in pairs else index),
     )
     rotation = pose.ct_from_scan.rotation.as_matrix()
     markers, spheres = [], []
@@ -374,7 +410,8 @@ def _record(
         diameter_mm=found.diameter_mm,
         markers=tuple(markers),
         doubtful=(),
-        deformation=before.deformation,  # of the CT, in which the plan and the bone stay
+        deformation=found.deformation,
+        ct_deformation=before.deformation,
         localizer=before.localizer,
         ct_from_scan=FusedPose.of(pose.ct_from_scan),
         files_sha256=files_sha256,

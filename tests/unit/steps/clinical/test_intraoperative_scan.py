@@ -14,6 +14,7 @@ from scanned_head import PLACE_SIGMA_MM, scanned_spheres
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.case import results_of
+from procedures.fusion.record import FusedPose
 from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.intraoperative.bone_pose import PoseEstimate
@@ -21,6 +22,7 @@ from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISS
 from procedures.intraoperative.placement import PlacedScan, SpherePair
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
+from procedures.planning.target_error import scan_errors
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.intraoperative_scan import (
@@ -70,6 +72,24 @@ def test_seating_no_longer_counts_and_the_place_of_the_scan_does() -> None:
     assert variance_mm2 == pytest.approx(3.0 * PLACE_SIGMA_MM**2)
 
 
+def test_strain_of_the_scan_acts_on_its_spheres_and_that_of_the_ct_on_the_target() -> None:
+    quarter_turn = (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # about L: S of the scan lies along P of the CT
+    result = scanned_spheres().model_copy(
+        update={"ct_from_scan": FusedPose(translation_mm=(1.0, 2.0, 3.0), quaternion_wxyz=quarter_turn)}
+    )
+    spheres_mm = np.array([[0.0, 60.0, 0.0], [0.0, -60.0, 0.0], [0.0, 0.0, 60.0], [0.0, 0.0, -60.0]])
+    target_mm = (0.0, 0.0, -80.0)
+    errors = result.scan_errors(spheres_mm, target_mm, np.eye(3))
+    along_p_mm, along_s_mm = (np.linalg.norm(errors.at_spheres_mm[one]) for one in (0, 2))
+    in_ct = scan_errors(None, spheres_mm, target_mm, np.eye(3))
+    assert along_p_mm == pytest.approx(np.linalg.norm(in_ct.at_spheres_mm[2]))  # the table of the scan
+    assert along_s_mm == pytest.approx(np.linalg.norm(in_ct.at_spheres_mm[0]))
+    at_target_mm2 = errors.at_target_mm @ errors.at_target_mm.T
+    np.testing.assert_allclose(at_target_mm2, in_ct.at_target_mm @ in_ct.at_target_mm.T, atol=1e-12)
+    both = np.einsum("ik,jk->ij", errors.at_spheres_mm[0], errors.at_target_mm)
+    assert np.all(both == 0.0)  # two scanners err independently
+
+
 def test_no_more_spheres_are_expected_in_the_room_than_the_scan_shows() -> None:
     assert scanned_spheres().count_expected(5) == 4
 
@@ -108,6 +128,13 @@ def test_a_person_says_that_the_scan_is_of_the_head_as_clamped_and_a_no_takes_no
     assert asked.value_line.startswith("1 file of 20180602 in ")
     assert asked.value_line.endswith("it was there before this step began")
     assert engine.case.find(IntraoperativeSpheres, None) is None
+
+
+def test_spheres_that_get_another_number_than_in_the_ct_are_listed() -> None:
+    sphere = scanned_spheres().spheres[0]
+    shown = tuple(sphere.model_copy(update={"ct_sphere": one}) for one in (0, 2, None))
+    result = scanned_spheres().model_copy(update={"spheres": shown})
+    assert list(result.list_renumbered()) == ["sphere 2 is 3 of the CT", "sphere 3 is new"]
 
 
 def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
