@@ -289,6 +289,17 @@ def test_a_changed_scan_of_the_operation_is_detected_and_voids_what_was_found_in
 
 
 @pytest.mark.hazard(1)
+def test_another_scan_may_be_made_while_its_step_is_repeated(scanned: Engine) -> None:
+    next((plan_of(scanned).parent / "intraoperative" / "ct").iterdir()).unlink()
+    (guard,) = scanned.checkpoint.guards
+    scanned.running = scanned.order.find("intraoperative_scan")
+    assert guard.unmet() is None
+    scanned.running = None
+    with raises(INPUT_CHANGED):
+        guard.unmet()
+
+
+@pytest.mark.hazard(1)
 def test_a_changed_scan_of_the_operation_is_a_difference_after_a_restart(scanned: Engine) -> None:
     series, comparison = plan_of(scanned).parent / "intraoperative" / "ct", Comparison()
     compare_inputs(scanned, comparison)

@@ -51,14 +51,14 @@ class UnchangedInputs:
         """Describe an unreadable input; None if all can be read. Raises PRO-021 for a changed one."""
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
+            if model is IntraoperativeSpheres and (stored is None or self._is_running(model)):
+                continue  # if at all, it is made during the operation, and again when the step is repeated
             try:
                 if stored is None:  # nothing depends on its content yet, and each slice read asks here
                     path.stat()
                     continue
                 stamps = _stamps(path)
             except OSError as error:
-                if model is IntraoperativeSpheres and stored is None:
-                    continue  # it is made during the operation, if at all
                 if model is LockedCart and (stored is None or not _has_proposal(stored.result)):
                     continue  # it need not be there
                 return f"{path.name} cannot be read ({error.strerror}): restore it"
@@ -76,6 +76,10 @@ class UnchangedInputs:
                 note_same_content(self._engine, path, stored.record)
             self._seen[path] = stamps
         return None
+
+    def _is_running(self, model: type[StepResult]) -> bool:
+        """Return whether the step that leaves this result is running."""
+        return self._engine.running is not None and self._engine.running.name == model.kind
 
     def close(self) -> None:
         """Record inputs that were rewritten with the same content by the end of the run."""

@@ -142,7 +142,7 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
         return 0.0
 
     def scan_errors(self, spheres_mm: Array, target_mm: ArrayLike, rotation: Array) -> SharedErrors:
-        """Return the errors of two stretched or sheared scans: this one's at its spheres, the CT's at a target.
+        """Return the errors of two stretched or sheared scans: of this one at spheres, of the CT at a target.
 
         The CT is placed by the spheres above all, so its error grows with the distance from them.
         """
