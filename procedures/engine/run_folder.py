@@ -71,8 +71,10 @@ def close_run(
 
 
 def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, JournalValue]:
-    """Return hashes of the run's files, and of CT, plan and proposed position outside its folder."""
-    inputs = () if clinical is None else (clinical.series, clinical.plan, clinical.place)
+    """Return hashes of the run's files, and of CT, scan, plan and proposed position outside its folder."""
+    inputs = (
+        () if clinical is None else (clinical.series, clinical.scan_series, clinical.plan, clinical.place)
+    )
     try:
         expected = Manifest(read_chain(folder / JOURNAL_FILE).lines).unvouched_files
         hashes = keep_earlier_hashes(

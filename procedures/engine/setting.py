@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from procedures.engine.methods import CaseMethods
+from procedures.imaging.dicom.slice_headers import CT_FOLDER
 from procedures.operator.question import Operator, Room
 from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
@@ -61,6 +62,11 @@ class ClinicalInput:
     def scan_folder(self) -> Path:
         """Folder beside the plan for the scan of the clamped head, its series in ct/."""
         return self.plan.with_name("intraoperative")
+
+    @property
+    def scan_series(self) -> Path:
+        """Folder of the series of that scan."""
+        return self.scan_folder / CT_FOLDER
 
     @property
     def place(self) -> Path:

@@ -15,7 +15,7 @@ SCAN_MISSING = ErrorCode(
 OTHER_PATIENT = ErrorCode(
     "CBCT-002",
     DataError,
-    "The scan of the operation and the planning CT have different patient identifiers.",
+    "The scan of the operation and the planning CT have different patient identifiers, or one has none.",
     "Stop and find out whose each is; nothing was taken from the scan.",
     own_exit_code=EXIT_REFUSED,
 )
@@ -24,7 +24,8 @@ OTHER_PATIENT = ErrorCode(
 NOT_LATER = ErrorCode(
     "CBCT-003",
     DataError,
-    "The scan is not one of the operation: it is the planning CT itself, or older than that.",
+    "The scan is not known to be one of the operation: it is the planning CT itself or another "
+    "reconstruction of that, is older, or has no date.",
     "Export the series that was made after the head was clamped, then repeat the step.",
     own_exit_code=EXIT_REFUSED,
 )

@@ -25,6 +25,9 @@ SAME_SPHERE_MM = 8.0  # less than two spheres can be apart; one that is farther 
 # Safety against spheres and bone that do not agree (U).
 CONFIDENCE = 0.999  # one false alarm in a thousand scans
 FEWEST_AGREEING = 2  # spheres that are where bone and CT have them: a mirrored scan has hardly any
+POSE_FREEDOM = 6  # of a rotation and a shift
+# Safety against the planning CT taken for a scan of the operation (U).
+UNMOVED_SHARE = 1.0 / 3.0  # of the seating error per axis: refitted spheres are hardly ever all that near
 # Safety against a scan whose place in the CT is uncertain (U).
 LARGEST_ERROR_MM = 0.5  # expected, rms at a target: as for a fusion
 
@@ -77,7 +80,8 @@ def place_scan(bone: PoseEstimate, scan: ScannedSpheres, ct: ScannedSpheres, sea
     measured = _Pairs(bone, places_mm[rows], ct.centres_mm[columns], own_mm2)
     kept = _select_agreeing(measured)
     _require_agreement(measured, kept, len(ct.centres_mm))
-    step, covariance, _ = measured.adjust(kept)
+    step, covariance, chi_square = measured.adjust(kept)
+    _require_fit(measured, kept, chi_square)
     pose = bone.moved(step, covariance)
     moved_mm = np.linalg.norm(
         pose.ct_from_scan.apply(scan.centres_mm)[rows] - ct.centres_mm[columns], axis=1
@@ -102,6 +106,13 @@ def require_certain(pose: PoseEstimate, points_mm: Array) -> None:
         )
 
 
+def are_unmoved(placed: PlacedScan, seating_mm: float) -> bool:
+    """Return whether all spheres, three at least, are nearer to their places at the CT than refitted ones."""
+    return len(placed.pairs) >= FEWEST_PAIRS and all(
+        pair.moved_mm < UNMOVED_SHARE * seating_mm for pair in placed.pairs
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class _Pairs:
     """Pairs of spheres as the bone has them: places, those of the CT (n, 3), covariances of a difference."""
@@ -124,6 +135,12 @@ class _Pairs:
         left_mm = off_mm - by_pose @ step
         chi_square = float(step @ information @ step + np.einsum("ni,nij,nj->", left_mm, weights, left_mm))
         return step, covariance, chi_square
+
+    def misfit(self, kept: Sequence[int]) -> float:
+        """Return the chi square of a rigid fit of these pairs, at least three, without the bone."""
+        rows = list(kept)
+        fit = register(self.places_mm[rows], self.ct_mm[rows], covariance_mm2=self.own_mm2[rows])
+        return fit.gate(confidence=CONFIDENCE).chi_square
 
     def distance(self, one: int, kept: Sequence[int]) -> float:
         """Return the chi square of one pair against the adjustment to the bone and the other `kept`."""
@@ -158,9 +175,13 @@ def _select_agreeing(measured: _Pairs) -> list[int]:
 
 
 def _require_agreement(measured: _Pairs, kept: Sequence[int], spheres: int) -> None:
-    """Raise CBCT-006 if too few spheres are where the bone has them, or more are together elsewhere."""
+    """Raise CBCT-006 if too few spheres are where the bone has them, or more are together elsewhere.
+
+    A single sphere beside three or more that agree with the bone has moved, even if all fit each other.
+    """
     together = _largest_rigid(measured)
-    if len(together) > len(kept):
+    has_one_moved = len(kept) >= FEWEST_PAIRS and len(set(together) - set(kept)) <= 1
+    if len(together) > len(kept) and not has_one_moved:
         raise SpheresContradict(
             f"{len(together)} spheres keep their distances and are not where the bone has them",
             expected=f"more than {len(together)} spheres that agree with the bone",
@@ -174,17 +195,28 @@ def _require_agreement(measured: _Pairs, kept: Sequence[int], spheres: int) -> N
         )
 
 
+def _require_fit(measured: _Pairs, kept: Sequence[int], chi_square: float) -> None:
+    """Raise CBCT-006 if the bone and the spheres, which agree one by one, contradict each other as a whole.
+
+    From three spheres on their own misfit is taken off: what remains is between the bone's pose and theirs.
+    """
+    freedom = 3 * len(kept)  # the pose is measured too, by the bone
+    if len(kept) >= FEWEST_PAIRS:
+        chi_square, freedom = chi_square - measured.misfit(kept), POSE_FREEDOM
+    limit = chi_square_limit(freedom, CONFIDENCE)
+    if chi_square > limit:
+        raise SpheresContradict(
+            f"{len(kept)} spheres agree with each other and are together beside where the bone has them",
+            limit=f"chi square of {limit:.1f} between bone and spheres",
+            got=format_against_limit(chi_square, limit, 1),
+        )
+
+
 def _largest_rigid(measured: _Pairs) -> tuple[int, ...]:
     """Return the largest group of at least three pairs that fit each other rigidly, or nothing."""
     count = len(measured.ct_mm)
     for size in range(count, FEWEST_PAIRS - 1, -1):
         for group in combinations(range(count), size):
-            rows = list(group)
-            fit = register(
-                measured.places_mm[rows], measured.ct_mm[rows], covariance_mm2=measured.own_mm2[rows]
-            )
-            if fit.gate(confidence=CONFIDENCE).chi_square <= chi_square_limit(
-                degrees_of_freedom(size), CONFIDENCE
-            ):
+            if measured.misfit(group) <= chi_square_limit(degrees_of_freedom(size), CONFIDENCE):
                 return group
     return ()

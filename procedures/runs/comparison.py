@@ -27,6 +27,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.inputs import note_same_content
+from procedures.steps.clinical.intraoperative_scan import IntraoperativeSpheres
 from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import KnownBases, RegisteredRobot
@@ -274,7 +275,7 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
 
 
 def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | None = None) -> None:
-    """Reread CT, plan and proposed position and compare them. An unreadable input counts as a difference.
+    """Reread CT, scan, plan and proposed position and compare them. Any that is unreadable is a difference.
 
     `plan_sha256` is the hash of the plan when the run was opened; it applies until the plan was checked.
     """
@@ -296,6 +297,17 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
                 comparison.unchanged.append("CT series")
                 if engine.case.find(CheckedPlan, None) is None:
                     engine.setting.memory.keep(volume)
+    if scanned := engine.case.find(IntraoperativeSpheres, None):
+        recorded = f"the one of {scanned.record.identifier}"
+        try:
+            changed = scanned.result.file_differences(clinical.scan_series)
+        except (RonnaError, OSError) as problem:
+            comparison.add_difference("scan of the operation", recorded, problem)
+        else:
+            if changed:
+                comparison.add_difference("scan of the operation", recorded, changed)
+            else:
+                comparison.unchanged.append("scan of the operation")
     if checked := engine.case.find(CheckedPlan, None):
         try:
             plan = read_plan(clinical.plan)

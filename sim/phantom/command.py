@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ronna_hw.arm.catalogue import ArmChoice
+from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 SCANNER = "What the scanner does"
 DURING, AFTERWARDS = "During the operation", "After the operation"
 ADHESIVES = 8  # on each patient of the thesis
+# Parameters that a scan during the operation follows; the second, unless it is of a theatre.
+OF_CONE_BEAM = frozenset(("out", "seed", "cone_beam", "theatre", "aim_mm", "with_parent", "as_json"))
+OF_ITS_SCENE = frozenset(("scene", "markers", "targets"))
 DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
 
 
@@ -42,6 +46,7 @@ def _scanner_option(about: str, *names: str, **limits: Any) -> Any:
 
 
 def phantom(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="New or empty folder for ct/, plan.toml and truth.json.")],
     scene: SceneOption = DEFAULT_SCENE,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a built-in scene.")] = 0,
@@ -167,6 +172,10 @@ def phantom(
     from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
     from sim.world.process import load_scene
 
+    if cone_beam:
+        _require_cone_beam_options(context)
+    elif only := next(_list_typed(context, ("theatre", "aim_mm")), None):
+        raise UsageMistake(f"{only} is for a scan during the operation", action="Add --cone-beam.")
     require_folder(out)
     if out.is_dir() and any(out.iterdir()):
         unfinished = (out / SERIES_FOLDER).is_dir() and not (out / TRUTH_FILE).exists()
@@ -185,8 +194,6 @@ def phantom(
             )
         _write_postoperative(postoperative, instrument, out, seed, protocol, as_json)
         return
-    if theatre is not None and not cone_beam:
-        raise BAD_SCENE("--theatre is for a scan during the operation", action="Add --cone-beam.")
     if cone_beam:
         _write_cone_beam(
             theatre,
@@ -294,6 +301,33 @@ def _scan_adhesives(
     if protocol is not None:
         truth = truth.model_copy(update={"ct": protocol_named(protocol)})
     return truth, adhesive_scan(truth)
+
+
+def _list_typed(context: typer.Context, names: Collection[str]) -> Iterator[str]:
+    """Yield the options that were typed, as typed, of the parameters with these names."""
+    for parameter in context.command.params:
+        source = context.get_parameter_source(str(parameter.name))
+        if parameter.name in names and source is not None and source.name == "COMMANDLINE":
+            yield parameter.opts[0]
+
+
+def _require_cone_beam_options(context: typer.Context) -> None:
+    """Raise CLI-001 for options that a scan during the operation would not follow."""
+    from sim.world.scene.named_scenes import BENCH_DISTANCES_MM
+
+    followed = OF_CONE_BEAM if context.params["theatre"] is not None else OF_CONE_BEAM | OF_ITS_SCENE
+    others = {str(one.name) for one in context.command.params} - followed
+    if ignored := list(_list_typed(context, others)):
+        with_theatre = " --theatre" if followed == OF_CONE_BEAM else ""
+        raise UsageMistake(
+            f"--cone-beam{with_theatre} does not follow {', '.join(ignored)}",
+            action=f"Omit {', '.join(ignored)}, or --cone-beam for a CT.",
+        )
+    if context.params["scene"] in BENCH_DISTANCES_MM:
+        raise UsageMistake(
+            f"--cone-beam scans a clamped head, and on --scene {context.params['scene']} none is clamped",
+            action="Name another scene, such as default.",
+        )
 
 
 def _write_cone_beam(

@@ -26,6 +26,7 @@ from prepared_results import (
     plan,
     registered_robot,
 )
+from scanned_head import scanned_spheres
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
@@ -42,6 +43,7 @@ from procedures.steps.clinical.cart_lock import LockedCart, Proposal
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.inputs import UnchangedInputs
+from procedures.steps.clinical.intraoperative_scan import hash_series
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.workcell import MountedTool
@@ -255,3 +257,60 @@ def test_a_position_proposed_after_the_cart_lock_is_a_finding_and_voids_nothing(
     engine.run_to()
     assert engine.over
     assert [entry for entry, _ in cell.entries("voided", "finding")] == ["finding"]
+
+
+@pytest.fixture
+def scanned(tmp_path: Path) -> Engine:
+    """A case with a scan of the clamped head, beside its plan."""
+    cell = ClinicalCell(tmp_path)
+    clinical = cell.setting().clinical
+    assert clinical is not None
+    write_series(cell.series, VOXELS_HU)
+    write_series(clinical.scan_series, VOXELS_HU)
+    write_plan(cell.plan, plan())
+    taken = scanned_spheres().model_copy(update={"files_sha256": hash_series(clinical.scan_series)})
+    engine = cell.begin(done_later(taken), done_later(coarse()[0], type(taken)))
+    engine.checkpoint.guards.append(UnchangedInputs(engine, clinical))
+    engine.run_to(engine.order.find(taken.kind))
+    return engine
+
+
+@pytest.mark.hazard(1)
+def test_a_changed_scan_of_the_operation_is_detected_and_voids_what_was_found_in_it(scanned: Engine) -> None:
+    series = plan_of(scanned).parent / "intraoperative" / "ct"
+    for path in series.iterdir():
+        path.write_bytes(path.read_bytes())
+    (guard,) = scanned.checkpoint.guards
+    assert guard.unmet() is None  # written again with the same content
+    next(series.iterdir()).unlink()
+    with raises(INPUT_CHANGED, match="ct has changed since intraoperative_scan: files changed, missing"):
+        scanned.run_to()
+    assert str(scanned.upcoming) == "intraoperative_scan"
+
+
+@pytest.mark.hazard(1)
+def test_another_scan_may_be_made_while_its_step_is_repeated(scanned: Engine) -> None:
+    next((plan_of(scanned).parent / "intraoperative" / "ct").iterdir()).unlink()
+    (guard,) = scanned.checkpoint.guards
+    scanned.running = scanned.order.find("intraoperative_scan")
+    assert guard.unmet() is None
+    scanned.running = None
+    with raises(INPUT_CHANGED):
+        guard.unmet()
+
+
+@pytest.mark.hazard(1)
+def test_a_changed_scan_of_the_operation_is_a_difference_after_a_restart(scanned: Engine) -> None:
+    series, comparison = plan_of(scanned).parent / "intraoperative" / "ct", Comparison()
+    compare_inputs(scanned, comparison)
+    assert comparison.differences == []
+    assert "scan of the operation" in comparison.unchanged
+    with next(series.iterdir()).open("r+b") as one:
+        one.seek(-1, os.SEEK_END)
+        one.write(b"x")
+    comparison = Comparison()
+    compare_inputs(scanned, comparison)
+    (differs,) = comparison.differences
+    assert differs.startswith(
+        "scan of the operation: recorded the one of 01-intraoperative_scan, found files"
+    )

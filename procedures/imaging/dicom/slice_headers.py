@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from procedures.imaging.dicom.attributes import (
     read_attribute_text,
@@ -30,6 +32,8 @@ from procedures.imaging.errors import (
     FramesMixed,
     SeriesMixed,
 )
+from ronna_hw.errors import RonnaError
+from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset
@@ -93,6 +97,8 @@ HALVED = 0.5  # of unsigned values of 16 bits, so that they fit into a volume's
 
 _IDENTITY_TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
 _SCAN_DATES = ("AcquisitionDate", "SeriesDate", "StudyDate")  # the nearest to the scan first
+_SCAN_TAGS = (*_IDENTITY_TAGS, *_SCAN_DATES, "StudyDescription", "FrameOfReferenceUID")
+_DATE_FORMATS = {8: "%Y%m%d", 10: "%Y.%m.%d"}  # by length: DICOM, and ACR-NEMA before it
 
 
 @dataclass(frozen=True)
@@ -148,12 +154,26 @@ def read_images(
     """Read `tags` of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
     images = list(iterate_images(directory, tags, progress))
     if not images:
-        inner = directory / CT_FOLDER
-        raise SERIES_EMPTY(
-            f"no DICOM image in {directory}",
-            action=f"Give the folder of the CT itself: {inner}." if inner.is_dir() else None,
-        )
+        _refuse_empty(directory)
     return images
+
+
+def _refuse_empty(directory: Path) -> NoReturn:
+    """Raise CT-002, naming the folders one level deeper that hold DICOM files."""
+    holding: dict[Path, int] = {}
+    for path in sorted(one for one in directory.iterdir() if one.is_dir()):
+        with suppress(RonnaError, OSError):  # a damaged neighbour is not what was asked for
+            holding |= {path: count} if (count := len(list_dicom_files(path))) else {}
+    if not holding:
+        raise SERIES_EMPTY(f"no DICOM image in {directory}")
+    counted = ", ".join(
+        f"{format_count(count, 'DICOM file')} in {one.name}" for one, count in holding.items()
+    )
+    series = directory / CT_FOLDER if directory / CT_FOLDER in holding else next(iter(holding))
+    raise SERIES_EMPTY(
+        f"no DICOM image directly in {directory}, but {counted}",
+        action=f"Give the folder of the series itself, such as {series}, or move its files up.",
+    )
 
 
 def iterate_images(
@@ -373,8 +393,17 @@ class ScanIdentity:
     """Whose scan a series is, and which, verbatim; missing attributes are empty."""
 
     patient: PatientIdentity
-    date: str  # YYYYMMDD
+    date: str  # YYYYMMDD, before the year 2000 perhaps YYYY.MM.DD
     study: str  # its description
+    frame_of_reference_uid: str
+
+
+def parse_date(text: str) -> date | None:
+    """Return a date as DICOM or ACR-NEMA write it, or None if it is none."""
+    try:
+        return datetime.strptime(text, _DATE_FORMATS[len(text)]).replace(tzinfo=UTC).date()
+    except (KeyError, ValueError):
+        return None
 
 
 def read_scan_identity(directory: Path) -> ScanIdentity:
@@ -383,12 +412,12 @@ def read_scan_identity(directory: Path) -> ScanIdentity:
     Raises CT-001, CT-002, CT-005, CT-012.
     """
     first = None
-    for path, header in iterate_images(directory, (*_IDENTITY_TAGS, *_SCAN_DATES, "StudyDescription")):
+    for path, header in iterate_images(directory, _SCAN_TAGS):
         first = first or (path, header)
         if read_attribute_text(path, header, "PatientID"):
             return _parse_scan_identity(path, header)
     if first is None:
-        raise SERIES_EMPTY(f"no DICOM image in {directory}")
+        _refuse_empty(directory)
     return _parse_scan_identity(*first)
 
 
@@ -398,6 +427,7 @@ def _parse_scan_identity(path: Path, header: FileDataset) -> ScanIdentity:
         PatientIdentity(*(read_attribute_text(path, header, keyword) for keyword in _IDENTITY_TAGS)),
         date=next(filter(None, dates), ""),
         study=read_attribute_text(path, header, "StudyDescription"),
+        frame_of_reference_uid=read_attribute_text(path, header, "FrameOfReferenceUID"),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from procedures.engine.context import StepContext
@@ -16,6 +17,7 @@ from procedures.imaging.markers import Candidate, Marker, ScanDeformation
 from procedures.imaging.pictures import draw_candidates, draw_markers
 from procedures.imaging.scan_deformation import require_undeformed
 from procedures.journal.results import StepResult, Values
+from procedures.planning.target_error import scan_errors
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
@@ -65,6 +67,13 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     def seating_mm(self, stated_mm: float) -> float:
         """Return the error per axis with which the spheres were refitted since, as the theatre states it."""
         return stated_mm
+
+    def scan_errors(self, spheres_mm: Array, target_mm: ArrayLike, rotation: Array) -> SharedErrors:
+        """Return the errors of stretched or sheared scans at these spheres (n, 3) and a target, CT mm.
+
+        `rotation` (3, 3) is robot <- CT.
+        """
+        return scan_errors(self.deformation, spheres_mm, target_mm, rotation)
 
     def place_errors(
         self, target_mm: Sequence[float], rotation: Array, spheres: int

@@ -1,6 +1,7 @@
-"""Guard of the inputs: CT, plan and proposed cart position must not change while results depend on them.
+"""Guard of the inputs: they must not change while results depend on them.
 
-Asked before every step and motion. An untouched file is not read again; a touched one is compared by content.
+These are CT, scan of the operation, plan and proposed cart position. Asked before every step and motion. An
+untouched file is not read again; a touched one is compared by content.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from procedures.journal.results import StepResult
 from procedures.planning.plan_file import read_plan
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.intraoperative_scan import IntraoperativeSpheres
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, JournalValue, read_chain
@@ -26,18 +28,20 @@ from ronna_hw.records import Record
 
 Stamp = tuple[str, int, int, int]  # of a file: name, inode, bytes, time of the last change
 Stamps = tuple[Stamp, ...]
+SERIES: frozenset[type[StepResult]] = frozenset((ImportedCt, IntraoperativeSpheres))  # folders of slices
 
 
 class UnchangedInputs:
-    """Guard of CT, plan and cart position. Any change ends the step and voids all dependent results."""
+    """Guard of CT, scan, plan and cart position. Any change ends the step and voids all dependent results."""
 
-    name = "CT, plan and cart position"
+    name = "CT, scan, plan and cart position"
 
     def __init__(self, engine: Engine, clinical: ClinicalInput) -> None:
         """Record the present state of the files. Raises OSError."""
         self._engine = engine
         self._inputs: dict[Path, type[StepResult]] = {
             clinical.series: ImportedCt,
+            clinical.scan_series: IntraoperativeSpheres,
             clinical.plan: CheckedPlan,
             clinical.place: LockedCart,
         }
@@ -47,6 +51,8 @@ class UnchangedInputs:
         """Describe an unreadable input; None if all can be read. Raises PRO-021 for a changed one."""
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
+            if model is IntraoperativeSpheres and (stored is None or self._is_running(model)):
+                continue  # if at all, it is made during the operation, and again when the step is repeated
             try:
                 if stored is None:  # nothing depends on its content yet, and each slice read asks here
                     path.stat()
@@ -66,16 +72,20 @@ class UnchangedInputs:
                 self._engine.context(key).void(model, problem)
                 self._seen[path] = stamps
                 raise problem
-            elif model is not ImportedCt:
+            elif model not in SERIES:
                 note_same_content(self._engine, path, stored.record)
             self._seen[path] = stamps
         return None
+
+    def _is_running(self, model: type[StepResult]) -> bool:
+        """Return whether the step that leaves this result is running."""
+        return self._engine.running is not None and self._engine.running.name == model.kind
 
     def close(self) -> None:
         """Record inputs that were rewritten with the same content by the end of the run."""
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
-            if stored is None or isinstance(stored.result, ImportedCt) or not path.exists():
+            if stored is None or model in SERIES or not path.exists():
                 continue
             if not _describe_change(stored.result, path):
                 with suppress(RonnaError):  # the journal cannot be written: close all the same
@@ -101,6 +111,8 @@ def _describe_change(result: StepResult, path: Path) -> str:
     try:
         if isinstance(result, ImportedCt):
             return result.differences(read_series(path))
+        if isinstance(result, IntraoperativeSpheres):
+            return result.file_differences(path)
         if isinstance(result, LockedCart):
             return result.differences(path)
         same = isinstance(result, CheckedPlan) and read_plan(path) == result.plan

@@ -6,12 +6,15 @@ no longer counts; the plan stays in the CT. What counts instead is the error of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import date
 from math import dist
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from procedures.engine.case import Case
@@ -19,10 +22,15 @@ from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.fusion.record import FusedPose
-from procedures.imaging.dicom.slice_headers import list_dicom_files, read_scan_identity
+from procedures.imaging.dicom.slice_headers import (
+    ScanIdentity,
+    list_dicom_files,
+    parse_date,
+    read_scan_identity,
+)
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.localizers import LOCALIZERS
-from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker
+from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker, ScanDeformation
 from procedures.imaging.pictures import draw_markers
 from procedures.imaging.scan_deformation import require_undeformed
 from procedures.imaging.series import read_series
@@ -33,11 +41,13 @@ from procedures.intraoperative.placement import (
     SAME_SPHERE_MM,
     PlacedScan,
     ScannedSpheres,
+    are_unmoved,
     place_scan,
     require_certain,
 )
 from procedures.journal.results import Values
 from procedures.operator.question import Question, Task, Topic
+from procedures.planning.target_error import scan_errors
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
@@ -47,6 +57,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.conditions import needs_arm_home
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
+from ronna_hw.evidence.manifest import sha256_of
 from ronna_hw.text import format_count
 from ronna_hw.vectors import vector3
 from ronna_hw.wire.room_tasks import SCAN
@@ -82,6 +93,10 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     """Spheres found in a scan of the clamped head, in the coordinates of the planning CT."""
 
     ct_from_scan: FusedPose = Field(description="Pose planning CT <- scan.")
+    ct_deformation: ScanDeformation | None = Field(
+        default=None, description="Stretch and shear of the CT, which act on the targets; none if unknown."
+    )
+    files_sha256: str = Field(description="SHA-256 of the names and contents of the scan's DICOM files.")
     place_middle_mm: Numbers3 = Field(
         description="Point of the CT about which the pose's rotation is stated."
     )
@@ -103,6 +118,21 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
 
     since: ClassVar[str] = "the scan during the operation"
 
+    def list_renumbered(self) -> Iterator[str]:
+        """Yield in words which spheres are new or have another number, counted from 1, than in the CT."""
+        for number, one in enumerate(self.spheres, start=1):
+            if one.ct_sphere is None:
+                yield f"sphere {number} is new"
+            elif one.ct_sphere + 1 != number:
+                yield f"sphere {number} is {one.ct_sphere + 1} of the CT"
+
+    def file_differences(self, series: Path) -> str:
+        """Say how the files in `series` differ from the scan that was taken; empty if they do not.
+
+        Raises CT-001, CT-005.
+        """
+        return "" if hash_series(series) == self.files_sha256 else "files changed, missing or added"
+
     def count_expected(self, implanted: int) -> int:
         """Return the number of spheres to match: those that the smaller field shows."""
         return min(implanted, len(self.markers))
@@ -110,6 +140,26 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     def seating_mm(self, stated_mm: float) -> float:
         """Return no error: the spheres were scanned as they sit."""
         return 0.0
+
+    def scan_errors(self, spheres_mm: Array, target_mm: ArrayLike, rotation: Array) -> SharedErrors:
+        """Return the errors of two stretched or sheared scans: of this one at spheres, of the CT at a target.
+
+        The CT is placed by the spheres above all, so its error grows with the distance from them.
+        """
+        pose = self.ct_from_scan.rigid
+        to_scan, turn = pose.inv(), pose.rotation.as_matrix()
+        own = scan_errors(
+            self.deformation,
+            to_scan.apply(spheres_mm),
+            to_scan.apply(np.asarray(target_mm, dtype=float)),
+            rotation @ turn,
+        )
+        of_ct = scan_errors(self.ct_deformation, spheres_mm, target_mm, rotation)
+        return SharedErrors(
+            own.source,
+            np.concatenate([own.at_spheres_mm, np.zeros_like(of_ct.at_spheres_mm)], axis=2),
+            np.concatenate([np.zeros_like(own.at_target_mm), of_ct.at_target_mm], axis=1),
+        )
 
     def place_errors(
         self, target_mm: Sequence[float], rotation: Array, spheres: int
@@ -129,9 +179,8 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
     context.result(ClampedHead)
     context.result(ImportedCt)
     plan, before = context.result(CheckedPlan), context.result(LocalizedFiducials)
-    folder = context.clinical.scan_folder
     context.workcell.rest()
-    series = folder / "ct"
+    series = context.clinical.scan_series
     was_there = series.is_dir()
     context.perform_task(
         Task(SCAN, f"scan the clamped head with its spheres, and put the series into {series.absolute()}")
@@ -145,6 +194,7 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
         )
     )
     require_scan_of_operation(context.clinical.series, series)
+    files_sha256 = hash_series(series)
     volume = read_series(
         series, progress=lambda share: context.progress(READING * share, "reading the scan of the operation")
     )
@@ -163,12 +213,22 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
     )
     stated_mm = context.setting.settings.seating_error_mm
     placed = place_scan(bone.pose, _scanned(found.markers), _scanned(before.markers), stated_mm)
+    if are_unmoved(placed, stated_mm):
+        farthest_mm = max(pair.moved_mm for pair in placed.pairs)
+        context.require_yes(
+            Question(
+                Topic.SCANNED,
+                "All spheres sit as in the planning CT: is this surely another scan, of the clamped head?",
+                f"within {farthest_mm:.3f} mm, less than refitted spheres do ({stated_mm:g} mm per axis)",
+            )
+        )
     targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
     require_certain(placed.pose, targets_mm)
     for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"scan-{number}.png", picture)
     context.setting.memory.drop(Volume)
-    result = _record(before, found, bone, placed, plan, find_unused(before, volume, found, placed))
+    unused = find_unused(before, volume, found, placed)
+    result = _record(before, found, files_sha256, bone, placed, plan, unused)
     moved = [one for one in result.spheres if not one.agrees and one.ct_sphere is not None]
     for one in moved:
         context.find(
@@ -176,6 +236,8 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
         )
     for gone in result.unused:
         context.find(f"sphere {gone.ct_sphere + 1} of the CT is not used: in the scan it {gone.reason}")
+    if renumbered := list(result.list_renumbered()):
+        context.find(f"from here on the spheres are numbered as the scan shows them: {'; '.join(renumbered)}")
     cut = sum(one.is_cut for one in result.spheres)
     return Outcome(
         result,
@@ -198,6 +260,12 @@ def describe_scan(series: Path) -> str:
     return f"{format_count(len(files), 'file')} {made}"
 
 
+def hash_series(series: Path) -> str:
+    """Return the SHA-256 of the names and contents of the DICOM files in a folder. Raises CT-001, CT-005."""
+    listed = "".join(f"{path.name} {sha256_of(path)}\n" for path in list_dicom_files(series))
+    return hashlib.sha256(listed.encode()).hexdigest()
+
+
 def used_spheres(case: Case) -> LocalizedFiducials:
     """Return the spheres that count in a case: of the scan during the operation, else of the CT."""
     scanned = case.find(IntraoperativeSpheres, None)
@@ -205,16 +273,39 @@ def used_spheres(case: Case) -> LocalizedFiducials:
 
 
 def require_scan_of_operation(ct: Path, scan: Path) -> None:
-    """Raise CBCT-001 without a scan, CBCT-002 for another patient, CBCT-003 for one older than the CT."""
+    """Raise CBCT-001 without a scan, CBCT-002 unless it is of this patient, CBCT-003 unless it is later.
+
+    Neither a scan in the CT's frame of reference nor one without a date is known to be later.
+    """
     if not scan.is_dir():
         raise SCAN_MISSING(f"there is no scan in {scan}")
     before, now = read_scan_identity(ct), read_scan_identity(scan)
     if before.patient.identifier != now.patient.identifier:  # messages never name patients
         raise OTHER_PATIENT("the scan and the planning CT have different patient identifiers")
-    if before.date and now.date and now.date < before.date:
+    if not now.patient.identifier:
+        raise OTHER_PATIENT("neither the scan nor the planning CT has a patient identifier")
+    if before.frame_of_reference_uid == now.frame_of_reference_uid:
+        raise NOT_LATER(
+            "the scan is in the frame of reference of the planning CT, as that reconstructed again would be",
+            expected="another FrameOfReferenceUID",
+            got=now.frame_of_reference_uid or "none in both",
+        )
+    if _date_of(now, "scan") < _date_of(before, "planning CT"):
         raise NOT_LATER(
             "the scan is older than the planning CT", expected="a later date", got="an earlier one"
         )
+
+
+def _date_of(identity: ScanIdentity, what: str) -> date:
+    """Return the date of a scan. Raises CBCT-003 without one."""
+    found = parse_date(identity.date)
+    if found is None:
+        raise NOT_LATER(
+            f"the {what} has no readable date, so the scan is not known to be the later one",
+            expected="such as 20180602",
+            got=repr(identity.date) if identity.date else "none",
+        )
+    return found
 
 
 def _localize_whole(context: StepContext, volume: Volume) -> Localization:
@@ -276,15 +367,17 @@ def estimate_of(result: IntraoperativeSpheres) -> PoseEstimate:
 def _record(
     before: LocalizedFiducials,
     found: Localization,
+    files_sha256: str,
     bone: BonePose,
     placed: PlacedScan,
     plan: CheckedPlan,
     unused: tuple[UnusedSphere, ...],
 ) -> IntraoperativeSpheres:
-    """Return the spheres in the coordinates of the CT, those that it shows first, in its order."""
+    """Return the spheres in the coordinates of the CT: first those of the CT in its order, then new ones."""
     pose, pairs = placed.pose, {pair.scan: pair for pair in placed.pairs}
     order = sorted(
-        range(len(found.markers)), key=lambda index: pairs[index].ct if index in pairs else len(pairs) + index
+        range(len(found.markers)),
+        key=lambda index: (index not in pairs, pairs[index].ct if index in pairs else index),
     )
     rotation = pose.ct_from_scan.rotation.as_matrix()
     markers, spheres = [], []
@@ -317,9 +410,11 @@ def _record(
         diameter_mm=found.diameter_mm,
         markers=tuple(markers),
         doubtful=(),
-        deformation=before.deformation,  # of the CT, in which the plan and the bone stay
+        deformation=found.deformation,
+        ct_deformation=before.deformation,
         localizer=before.localizer,
         ct_from_scan=FusedPose.of(pose.ct_from_scan),
+        files_sha256=files_sha256,
         place_middle_mm=vector3(pose.middle_mm),
         place_turns_rad=tuple(map(vector3, errors[:, :3])),
         place_shifts_mm=tuple(map(vector3, errors[:, 3:])),

@@ -23,7 +23,7 @@ from procedures.planning.guide import (
     instrument_covariance_mm2,
 )
 from procedures.planning.plan_model import PlannedTrajectory
-from procedures.planning.target_error import fusion_errors, scan_errors
+from procedures.planning.target_error import fusion_errors
 from procedures.registration import Registration, RoomPoint, TwoWayTable, verify_two_way
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.registration.points import FEWEST_PAIRS
@@ -244,14 +244,7 @@ def predict_tip_error(
     )
     sources = (
         IndependentErrors(CT, looked.ct_mm2, np.zeros((3, 3))),
-        held.turn_with_head(
-            scan_errors(
-                localized.deformation,
-                looked.image_mm,
-                planned.target_mm,
-                rotation,
-            )
-        ),
+        held.turn_with_head(localized.scan_errors(looked.image_mm, planned.target_mm, rotation)),
         IndependentErrors(SEATING, looked.seating_mm2, np.zeros((3, 3))),
         *map(held.turn_with_head, localized.place_errors(planned.target_mm, rotation, len(looked.ct_mm2))),
         *fusion_errors(planned.fusion_error_mm, len(looked.ct_mm2)),

@@ -16,7 +16,6 @@ import numpy as np
 
 from procedures.calibration.arm_sources import REPEATABILITY
 from procedures.engine.context import StepContext
-from procedures.planning.target_error import scan_errors
 from procedures.registration import Registration, register
 from procedures.registration.arm_learning import (
     ArmLearning,
@@ -141,7 +140,7 @@ class LookedPairs:
         seating_mm = localization.seating_mm(settings.seating_error_mm)
         seating_mm2 = np.tile(np.eye(3) * seating_mm**2, (count, 1, 1))
         sides_mm2 = error_budget.unknown_sides_mm2(context, looks, fine.points_mm)
-        scan = scan_errors(localization.deformation, image_mm, image_mm.mean(axis=0), rotation)
+        scan = localization.scan_errors(image_mm, image_mm.mean(axis=0), rotation)
         return cls(
             fiducials=fine.fiducials,
             looks=looks,

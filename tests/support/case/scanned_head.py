@@ -33,6 +33,7 @@ def scanned_spheres() -> IntraoperativeSpheres:
         markers=(marker,) * 4,
         doubtful=(),
         ct_from_scan=FusedPose(translation_mm=(1.0, 2.0, 3.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0)),
+        files_sha256="0" * 64,
         place_middle_mm=(0.0, 0.0, 0.0),
         place_turns_rad=tuple(map(vector3, unit[:, :3])),
         place_shifts_mm=tuple(map(vector3, unit[:, 3:])),

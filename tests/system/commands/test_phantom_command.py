@@ -77,3 +77,29 @@ def test_the_plan_is_accepted_for_its_series(case: Path) -> None:
 def test_the_command_ends_with_its_parent_when_asked_to(tmp_path: Path) -> None:
     line = command("sim.cli", "phantom", "--with-parent", "--out", str(tmp_path))
     assert ends_with_its_parent(line, begun=lambda: any((tmp_path / "ct").glob("*.dcm")))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--cone-beam", "--family", "posts"), "does not follow --family"),
+        (("--cone-beam", "--protocol", "poor", "--mr"), "does not follow --protocol, --mr"),
+        (("--cone-beam", "--stretch", "0.01"), "does not follow --stretch"),
+        (("--cone-beam", "--fiducials", "adhesive"), "does not follow --fiducials"),
+        (("--cone-beam", "--scene", "bench"), "none is clamped"),
+        (
+            ("--cone-beam", "--theatre", "t", "--markers", "4"),
+            "--theatre does not follow --markers",
+        ),
+        (("--aim-mm", "3"), "--aim-mm is for a scan during the operation"),
+        (("--theatre", "t"), "--theatre is for a scan during the operation"),
+    ],
+)
+def test_options_that_a_scan_would_not_follow_are_refused(
+    tmp_path: Path, options: tuple[str, ...], said: str
+) -> None:
+    done = in_this_process(ronna_sim, "phantom", "--out", tmp_path / "case", *options)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "CLI-001" in done.stderr
+    assert said in " ".join(done.stderr.split())
+    assert not (tmp_path / "case").exists()

@@ -207,6 +207,14 @@ SPOILED = {
         errors.SERIES_EMPTY,
         "series",
     ),
+    "one level too deep": (
+        lambda folder: [
+            (folder / "ST000001").mkdir(),
+            *(path.rename(folder / "ST000001" / path.name) for path in sorted(folder.glob("*.dcm"))),
+        ],
+        errors.SERIES_EMPTY,
+        r"directly in .*, but 5 DICOM files in ST000001\. Give the folder .*/ST000001",
+    ),
     "not DICOM": (
         lambda folder: [
             path.rename(path.with_suffix(".txt")).write_text("x" * 200) for path in folder.iterdir()

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.intraoperative.bone_pose import PoseEstimate
 from procedures.intraoperative.errors import BoneUncertain, SpheresContradict
-from procedures.intraoperative.placement import ScannedSpheres, place_scan, require_certain
+from procedures.intraoperative.placement import ScannedSpheres, are_unmoved, place_scan, require_certain
 from ronna_hw.arrays import Array
 
 CT_MM = np.array(
@@ -71,6 +71,14 @@ def test_stated_errors_of_the_place_are_those_that_it_has() -> None:
     assert 0.7 < np.mean(squares) < 1.4
 
 
+def test_spheres_that_sit_as_in_the_ct_are_noticed_and_refitted_ones_are_not() -> None:
+    again = place_scan(bone(), spheres(CT_FROM_SCAN.inv().apply(CT_MM)), spheres(CT_MM), SEATING_MM)
+    assert are_unmoved(again, SEATING_MM)
+    for seed in range(20):
+        placed = place_scan(bone(), spheres(in_scan(CT_MM, seed)), spheres(CT_MM), SEATING_MM)
+        assert not are_unmoved(placed, SEATING_MM)
+
+
 @pytest.mark.parametrize("by_mm", [(1.0, 0.0, 0.0), (0.0, -2.0, 1.5)])
 def test_a_sphere_that_moved_since_the_ct_is_named_and_takes_no_part(
     by_mm: tuple[float, float, float],
@@ -93,6 +101,26 @@ def test_spheres_that_moved_together_contradict_the_bone() -> None:
     moved_mm = CT_MM + np.array([0.0, 1.5, 0.0])
     with raises(SpheresContradict, match="5 spheres keep their distances"):
         place_scan(bone(), spheres(in_scan(moved_mm)), spheres(CT_MM), SEATING_MM)
+
+
+@pytest.mark.parametrize("by_mm", [(0.4, 0.0, 0.0), (0.0, -0.3, 0.3)])
+def test_spheres_that_moved_together_by_little_contradict_a_bone_that_is_known_better(
+    by_mm: tuple[float, float, float],
+) -> None:
+    scan = spheres(in_scan(CT_MM + np.array(by_mm)))
+    with raises(SpheresContradict, match="together beside where the bone has them"):
+        place_scan(bone(sigma_mm=0.05), scan, spheres(CT_MM), SEATING_MM)
+
+
+@pytest.mark.parametrize("by_mm", [(0.5, 0.0, 0.0), (0.0, 0.35, 0.35), (-0.3, 0.0, 0.3)])
+def test_a_sphere_that_moved_alone_is_named_even_if_all_still_fit_each_other(
+    by_mm: tuple[float, float, float],
+) -> None:
+    moved_mm = CT_MM.copy()
+    moved_mm[2] += by_mm
+    for seed in range(30):
+        placed = place_scan(bone(sigma_mm=0.05), spheres(in_scan(moved_mm, seed)), spheres(CT_MM), SEATING_MM)
+        assert [pair.ct for pair in placed.pairs if not pair.agrees] == [2], seed
 
 
 def test_a_mirrored_scan_contradicts_the_bone_of_a_symmetric_head() -> None:

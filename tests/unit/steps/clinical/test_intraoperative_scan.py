@@ -6,24 +6,33 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clinical_case import ClinicalCell, done_later
 from coded_errors import raises
+from prepared_results import checked_plan, clamped_head, imported_ct, localized_fiducials
+from pydicom import dcmread
 from scanned_head import PLACE_SIGMA_MM, scanned_spheres
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.case import results_of
+from procedures.fusion.record import FusedPose
 from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.intraoperative.bone_pose import PoseEstimate
 from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING
 from procedures.intraoperative.placement import PlacedScan, SpherePair
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
+from procedures.planning.target_error import scan_errors
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.intraoperative_scan import (
     PLACE,
+    STEP,
     IntraoperativeSpheres,
     find_unused,
     require_scan_of_operation,
 )
+from procedures.workcell import MountedTool
 from ronna_hw.records import Record
 from sim.phantom.scanner.dicom_series import DicomSeries
 from sim.phantom.scanner.grid import CtGrid
@@ -33,9 +42,9 @@ from sim.world.scene.named_scenes import draw_scene
 TINY = CtProtocol(pixel_mm=1.0, slice_mm=1.0, columns=16, rows=16, slices=1)
 
 
-def write_slice(folder: Path, scene: Scene, date: str) -> Path:
+def write_slice(folder: Path, scene: Scene, date: str, occasion: str = "the operation") -> Path:
     grid = CtGrid((0.0, 0.0, 0.0), 1.0, 1.0, 16, 16, 1)
-    series = DicomSeries(scene.model_copy(update={"ct": TINY}), grid, folder, date=date)
+    series = DicomSeries(scene.model_copy(update={"ct": TINY}), grid, folder, date=date, occasion=occasion)
     series.prepare()
     series.write(0, np.zeros((16, 16), "<u2"))
     return folder
@@ -63,6 +72,24 @@ def test_seating_no_longer_counts_and_the_place_of_the_scan_does() -> None:
     assert variance_mm2 == pytest.approx(3.0 * PLACE_SIGMA_MM**2)
 
 
+def test_strain_of_the_scan_acts_on_its_spheres_and_that_of_the_ct_on_the_target() -> None:
+    quarter_turn = (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # about L: S of the scan lies along P of the CT
+    result = scanned_spheres().model_copy(
+        update={"ct_from_scan": FusedPose(translation_mm=(1.0, 2.0, 3.0), quaternion_wxyz=quarter_turn)}
+    )
+    spheres_mm = np.array([[0.0, 60.0, 0.0], [0.0, -60.0, 0.0], [0.0, 0.0, 60.0], [0.0, 0.0, -60.0]])
+    target_mm = (0.0, 0.0, -80.0)
+    errors = result.scan_errors(spheres_mm, target_mm, np.eye(3))
+    along_p_mm, along_s_mm = (np.linalg.norm(errors.at_spheres_mm[one]) for one in (0, 2))
+    in_ct = scan_errors(None, spheres_mm, target_mm, np.eye(3))
+    assert along_p_mm == pytest.approx(np.linalg.norm(in_ct.at_spheres_mm[2]))  # the table of the scan
+    assert along_s_mm == pytest.approx(np.linalg.norm(in_ct.at_spheres_mm[0]))
+    at_target_mm2 = errors.at_target_mm @ errors.at_target_mm.T
+    np.testing.assert_allclose(at_target_mm2, in_ct.at_target_mm @ in_ct.at_target_mm.T, atol=1e-12)
+    both = np.einsum("ik,jk->ij", errors.at_spheres_mm[0], errors.at_target_mm)
+    assert np.all(both == 0.0)  # two scanners err independently
+
+
 def test_no_more_spheres_are_expected_in_the_room_than_the_scan_shows() -> None:
     assert scanned_spheres().count_expected(5) == 4
 
@@ -83,9 +110,36 @@ def test_a_record_of_the_scan_is_read_where_spheres_of_the_ct_are_asked_for() ->
     assert stored.result == result
 
 
+def test_a_person_says_that_the_scan_is_of_the_head_as_clamped_and_a_no_takes_nothing_from_it(
+    tmp_path: Path,
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    cell.carrying(MountedTool.STEREO_HEAD).settled()
+    cell.operator.refusing = (Topic.SCANNED,)
+    clinical = cell.setting().clinical
+    assert clinical is not None
+    write_slice(clinical.scan_series, draw_scene("default", seed=1000), "20180602")
+    engine = cell.begin(
+        *(imported_ct(), localized_fiducials(), checked_plan()), done_later(clamped_head()), STEP
+    )
+    with raises(NotConfirmed, match="made of the head as it is clamped now"):
+        engine.run_to()
+    (asked,) = [one for one in cell.operator.asked if one.topic is Topic.SCANNED]
+    assert asked.value_line.startswith("1 file of 20180602 in ")
+    assert asked.value_line.endswith("it was there before this step began")
+    assert engine.case.find(IntraoperativeSpheres, None) is None
+
+
+def test_spheres_that_get_another_number_than_in_the_ct_are_listed() -> None:
+    sphere = scanned_spheres().spheres[0]
+    shown = tuple(sphere.model_copy(update={"ct_sphere": one}) for one in (0, 2, None))
+    result = scanned_spheres().model_copy(update={"spheres": shown})
+    assert list(result.list_renumbered()) == ["sphere 2 is 3 of the CT", "sphere 3 is new"]
+
+
 def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
     scene, other = draw_scene("default", seed=1000), draw_scene("default", seed=1001)
-    ct = write_slice(tmp_path / "ct", scene, "20180601")
+    ct = write_slice(tmp_path / "ct", scene, "20180601", "the CT")
     require_scan_of_operation(ct, write_slice(tmp_path / "later", scene, "20180602"))
     with raises(SCAN_MISSING):
         require_scan_of_operation(ct, tmp_path / "nowhere")
@@ -93,6 +147,41 @@ def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
         require_scan_of_operation(ct, write_slice(tmp_path / "older", scene, "20180531"))
     with raises(OTHER_PATIENT):
         require_scan_of_operation(ct, write_slice(tmp_path / "other", other, "20180602"))
+
+
+@pytest.mark.filterwarnings("ignore:Invalid value for VR DA")
+@pytest.mark.parametrize(
+    ("date", "occasion", "words"),
+    [
+        ("20180602", "the CT", "frame of reference of the planning CT"),
+        ("", "the operation", "the scan has no readable date"),
+        ("20181399", "the operation", "got '20181399'"),
+        ("2018.05.31", "the operation", "older than the planning CT"),
+    ],
+)
+def test_a_scan_that_is_not_known_to_be_later_is_refused(
+    tmp_path: Path, date: str, occasion: str, words: str
+) -> None:
+    scene = draw_scene("default", seed=1000)
+    ct = write_slice(tmp_path / "ct", scene, "20180601", "the CT")
+    scan = write_slice(tmp_path / "scan", scene, date, occasion)
+    with raises(NOT_LATER, match=words):
+        require_scan_of_operation(ct, scan)
+
+
+def test_a_scan_of_a_nameless_patient_is_refused(tmp_path: Path) -> None:
+    scene = draw_scene("default", seed=1000)
+    folders = [
+        write_slice(tmp_path / "ct", scene, "20180601", "the CT"),
+        write_slice(tmp_path / "scan", scene, "20180602"),
+    ]
+    for folder in folders:
+        for path in folder.iterdir():
+            header = dcmread(path)
+            header.PatientID = ""
+            header.save_as(path)
+    with raises(OTHER_PATIENT, match="neither"):
+        require_scan_of_operation(*folders)
 
 
 def test_a_sphere_that_the_field_cuts_off_is_named_by_its_number_in_the_ct() -> None:
