@@ -32,7 +32,7 @@ def watched(monkeypatch: pytest.MonkeyPatch, **seen: Any) -> tuple[Any, Any]:
 def compare_seen(monkeypatch: pytest.MonkeyPatch, watch: object = None, **seen: Any) -> Comparison:
     workcell, known = watched(monkeypatch, **seen)
     workcell.assistant.require_on_axis = lambda: 120.0
-    workcell.assistant.history = SimpleNamespace(base=object())
+    workcell.assistant.history = SimpleNamespace(base=object(), held=None)
     monkeypatch.setattr(arm_comparison, "_watch_with_bases", lambda _engine: watch or known)
     monkeypatch.setattr(arm_comparison, "_compare_guide", lambda *_known: None)
     engine = SimpleNamespace(setting=SimpleNamespace(workcell=workcell, clock=None))
