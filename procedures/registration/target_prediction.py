@@ -142,7 +142,8 @@ class TargetPrediction:
         """Return the radius in mm that contains the error with this probability. Raises REG-007."""
         tested = sum(part for name, part in self.by_source_mm2.items() if name in self.at_spheres)
         covariance = self.covariance_mm2 + (self.widening**2 - 1.0) * tested
-        rare = sum((self.by_source_mm2[name] for name in self.rare), np.zeros((AXES, AXES)))
+        found = (part for name, part in self.by_source_mm2.items() if name in self.rare)  # a set has no order
+        rare = sum(found, np.zeros((AXES, AXES)))
         return rare_limit_mm(covariance - rare, rare, RARE_SHARE, confidence)
 
     def mark_contained(self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE) -> Mask:

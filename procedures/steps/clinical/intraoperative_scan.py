@@ -202,7 +202,7 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
         raise NOT_LATER("the scan is the planning CT itself", got=volume.series_instance_uid)
     context.note_inputs(*list_dicom_files(series))
     described = LOCALIZERS[before.localizer]
-    found = _localize_whole(context, volume)
+    found = localize_whole(context, volume)
     require_undeformed(found.deformation)
     bone = register_bone(
         volume_of(context),
@@ -308,7 +308,7 @@ def _date_of(identity: ScanIdentity, what: str) -> date:
     return found
 
 
-def _localize_whole(context: StepContext, volume: Volume) -> Localization:
+def localize_whole(context: StepContext, volume: Volume) -> Localization:
     """Localize the spheres of the scan. Raises CBCT-007 for too few, naming those that the field cuts."""
     localize = LOCALIZERS[context.clinical.methods.localizer].load()
 

@@ -49,7 +49,7 @@ from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 CT, SEATING, STEREO = "CT", "seating of the spheres", "stereo measurement"
 NO_SHIFT = np.zeros(3)
 # Of the residual without a sphere that is left out: it must explain the disagreement, not only lessen it.
-# Safety against two spheres that have moved.
+# Safety against two spheres that have moved (U).
 LEFT_OUT_CONFIDENCE = 0.95
 
 

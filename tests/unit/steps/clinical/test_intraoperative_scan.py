@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,11 +16,13 @@ from scanned_head import PLACE_SIGMA_MM, scanned_spheres
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.case import results_of
+from procedures.engine.context import StepContext
+from procedures.engine.methods import CaseMethods
 from procedures.fusion.record import FusedPose
 from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.intraoperative.bone_pose import PoseEstimate
-from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING
+from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING, TooFewWhole
 from procedures.intraoperative.placement import PlacedScan, SpherePair
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
@@ -30,6 +34,7 @@ from procedures.steps.clinical.intraoperative_scan import (
     STEP,
     IntraoperativeSpheres,
     find_unused,
+    localize_whole,
     require_scan_of_operation,
 )
 from procedures.workcell import MountedTool
@@ -205,3 +210,14 @@ def test_a_sphere_that_the_field_cuts_off_is_named_by_its_number_in_the_ct() -> 
         (2, "is outside the field of view"),
         (3, "is not there"),
     ]
+
+
+def test_a_scan_without_spheres_asks_for_another_one_with_the_field_aimed_at_them() -> None:
+    context = SimpleNamespace(
+        clinical=SimpleNamespace(methods=CaseMethods()), progress=lambda share, what: None
+    )
+    shape = (60, 60, 60)
+    geometry = VoxelGeometry(shape, np.zeros(3), np.eye(3)[:, ::-1], np.ones(3))
+    air = Volume(np.full(shape, -1000, np.int16), geometry, "1.2.3", "1.2.4")
+    with raises(TooFewWhole, match="too few whole spheres"):
+        localize_whole(cast(StepContext, context), air)
