@@ -34,7 +34,7 @@ SHOWN_STEPS = 4  # of the closest points
 
 @dataclass(frozen=True, eq=False)
 class PairedPoints:
-    """The same markers (n, 3) in image and room, mm, pair by pair, and the fit by SVD."""
+    """Markers (n, 3) in image and room, mm, paired row by row, and their fit by SVD."""
 
     image_mm: Array
     physical_mm: Array

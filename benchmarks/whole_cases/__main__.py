@@ -31,8 +31,8 @@ SUMMARY_FILE, BLOCK_FILE = "summary.json", "block.json"
 def main(
     folder: Annotated[Path, typer.Argument(help="New folder, or one to continue.")],
     block: Annotated[str, typer.Option(help="Commit that draws the seeds, 40 digits.")] = "",
-    only: Annotated[list[str], typer.Option(help="Group, or group and strategy; repeatable.")] = [],  # noqa: B006
-    seeds: Annotated[list[int], typer.Option(help="These instead of a block, to try it.")] = [],  # noqa: B006
+    only: Annotated[list[str], typer.Option(help="Group, or group and strategy; repeatable.")] = [],  # noqa: B006 - typer reads it once
+    seeds: Annotated[list[int], typer.Option(help="These instead of a block, to try it.")] = [],  # noqa: B006 - likewise
     page: Annotated[
         bool, typer.Option("--page", help="Write the table of the page of the strategies.")
     ] = False,

@@ -1,4 +1,4 @@
-"""What whole cases are run with: the rounds of decision 31, in their order."""
+"""Conditions of whole cases: the rounds of decision 31, in their order."""
 
 from __future__ import annotations
 

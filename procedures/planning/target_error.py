@@ -36,7 +36,7 @@ from procedures.registration.target_prediction import (
     predict_target_error,
 )
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach
-from procedures.strategies.strategy import arrival_signs, rest_sides
+from procedures.strategies.strategy import rest_sides
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arrays import Array
 
@@ -147,18 +147,17 @@ def arm_error_sources(
     """
     sphere_visits, target = select_poses(setting, check, identifier)
     target_pose = (setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)
-    if setting.strategy.learns_arm:
+    at_spheres = None
+    if setting.strategy.controls_approach:
         names = [one.visit.name.trajectory for one in sphere_visits]
         at_spheres = np.array(look_sides(setting, check.targets, names), dtype=float)
-    else:
-        at_spheres = np.array([arrival_signs(*target_pose)] * len(sphere_visits), dtype=float)
     at_target = np.array([rest_sides(*target_pose, target.visit.approach_mm)], dtype=float)
     return arm_sources(
         setting.kinematics.chain,
         ArmPoses(
             np.array([one.at_rad for one in sphere_visits]),
             np.array([one.visit.pose.translation_mm for one in sphere_visits]),
-            at_spheres if setting.strategy.controls_approach else None,
+            at_spheres,
         ),
         ArmPoses(np.array([target.at_rad]), tip_mm[None], at_target),
         setting.sizes,

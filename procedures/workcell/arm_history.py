@@ -137,7 +137,7 @@ class HeldInstrument:
 
     @property
     def may_turn(self) -> bool:
-        """Whether it is a drill that nobody has switched off."""
+        """Whether the drill, if it is one, may still be switched on."""
         return self.drill is not None and self.drill.may_turn
 
     @property

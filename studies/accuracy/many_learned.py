@@ -42,7 +42,7 @@ class TargetSources:
 
 @dataclass(frozen=True)
 class Judged:
-    """What `a` arms learned of `t` targets, or a plain registration says of them."""
+    """Corrections and covariances of `t` targets for `a` arms, with the residual of each arm."""
 
     shifts_mm: Array  # (a, t, 3)
     covariances_mm2: Array  # (a, t, 3, 3)

@@ -183,7 +183,7 @@ SCENARIOS = (
 
 @dataclass(frozen=True)
 class ReachedTargets:
-    """Where targets were registered and reached, as vectors from the true ones; (a, t, c, ...) in mm.
+    """Registered and reached places of targets, as vectors from the true ones; (a, t, c, ...) in mm.
 
     The difference of the two is the arm's own error at the target (eq. 40 to 42 of the thesis).
     """

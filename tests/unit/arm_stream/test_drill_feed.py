@@ -19,7 +19,7 @@ LIMIT_N = 30.0
 
 
 class Drilled(NamedTuple):
-    """Where the feed ended (mm below the skin), the largest force, and the theatre time."""
+    """End of a feed: depth below the skin in mm, largest force, theatre time."""
 
     depth_mm: float
     peak_N: float
