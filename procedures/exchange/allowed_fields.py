@@ -8,7 +8,7 @@ study are added to DICOM objects afterwards and only on request, from the CT its
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
@@ -216,9 +216,9 @@ FILLED_ATTRIBUTES = (
 )
 
 
-def name_spheres(markers: Iterable[M]) -> dict[str, M]:
-    """Name the spheres of a localization M1, M2, ... in order."""
-    return {f"M{number}": marker for number, marker in enumerate(markers, 1)}
+def name_spheres(numbered: Mapping[int, M]) -> dict[str, M]:
+    """Name the spheres of a localization M1, M2, ... by their numbers."""
+    return {f"M{number}": marker for number, marker in numbered.items()}
 
 
 def pick_allowed(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict[str, Any]:

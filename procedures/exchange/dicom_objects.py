@@ -6,7 +6,7 @@ derived from the content, so the same result always yields the same object.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import version
@@ -62,11 +62,11 @@ def fiducial_uid(origin: Origin, name: str) -> str:
     return str(uid(origin, "fiducial", name))
 
 
-def sphere_fiducials(markers: Sequence[Marker], origin: Origin) -> Dataset:
-    """Build the Spatial Fiducials object for the spheres of a CT series, named M1, M2, ... in order."""
+def sphere_fiducials(numbered: Mapping[int, Marker], origin: Origin) -> Dataset:
+    """Build the Spatial Fiducials object for the spheres of a CT series, named M1, M2, ... by number."""
     points = [
         point_item(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
-        for name, marker in name_spheres(markers).items()
+        for name, marker in name_spheres(numbered).items()
     ]
     return spatial_fiducials(points, origin, "MARKERS", "centres of marker spheres")
 

@@ -92,6 +92,7 @@ def registration_in_ct(reading: RunReading, used: UsedRegistration, target: str)
     fit, run = used.stored.result, reading.run
     found = results_of(LocalizedFiducials, run.valid_records)
     centres_mm = found[-1].result.centres_mm if found else np.zeros((0, 3))
+    shown = found[-1].result.shown if found else ()
     robot_from_ct = fit.robot_from_ct.transform
     places = np.full((len(centres_mm), 3), np.nan)
     for stored in results_of(Relocalization, run.records):
@@ -109,7 +110,9 @@ def registration_in_ct(reading: RunReading, used: UsedRegistration, target: str)
             float(np.linalg.norm(place_mm - centre_mm)),
             np.nan if (apart_mm := without_mm.get(index)) is None else apart_mm,
         )
-        for index, (centre_mm, place_mm) in enumerate(zip(centres_mm, places, strict=True))
+        for index, centre_mm, place_mm in zip(
+            shown, centres_mm[list(shown)], places[list(shown)], strict=True
+        )
     ]
     ct = reading.find(ImportedCt)
     return RegistrationInCt(

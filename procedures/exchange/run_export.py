@@ -96,13 +96,13 @@ def _case_texts(results: CaseResults) -> dict[str, str]:
     if results.plan is not None:
         tables = {"lines.csv": tabulate_lines(lines, ct), "errors.csv": results.tabulate_errors()}
     if results.spheres is not None:
-        markers = results.spheres.result.markers
-        plain = [
-            allowed_fields.pick_allowed(one.model_dump(mode="json"), allowed_fields.SPHERE_FIELDS)
-            for one in markers
-        ]
-        texts |= {"spheres.mrk.json": slicer_markups(markers, ct), "spheres.json": document(plain, ct)}
-        tables["spheres.csv"] = table(markers, ct)
+        numbered = results.spheres.result.numbered
+        plain = {
+            number: allowed_fields.pick_allowed(one.model_dump(mode="json"), allowed_fields.SPHERE_FIELDS)
+            for number, one in numbered.items()
+        }
+        texts |= {"spheres.mrk.json": slicer_markups(numbered, ct), "spheres.json": document(plain, ct)}
+        tables["spheres.csv"] = table(numbered, ct)
     return texts | _with_schemas(tables)
 
 

@@ -38,7 +38,7 @@ def run_objects(
     key = hashlib.sha256(page.tobytes()).hexdigest()
     objects["report-page.dcm"] = report_page(page, _origin(results, key, latest))
     if results.spheres is not None:
-        spheres = name_spheres(results.spheres.result.markers)
+        spheres = name_spheres(results.spheres.result.numbered)
         objects |= _registered(results, fits)
         plain = [marker.model_dump(mode="json") for marker in spheres.values()]
         content = [plain, [(one.label, one.kind, *one.entry_mm, *one.end_mm) for one in lines]]
@@ -59,7 +59,7 @@ def run_objects(
 def _registered(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
     """Build the spheres' object, and one for each registration, which names the spheres it used."""
     assert results.spheres is not None, "the caller has them"
-    spheres = results.spheres.result.markers
+    spheres = results.spheres.result.numbered
     origin = _record_origin(results, results.spheres.record)
     objects = {"spheres.dcm": dicom_objects.sphere_fiducials(spheres, origin)}
     uids = [dicom_objects.fiducial_uid(origin, name) for name in name_spheres(spheres)]

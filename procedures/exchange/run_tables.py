@@ -162,9 +162,9 @@ def spheres_table(run: Inspection) -> RunTable:
     """Return one row per sphere found in the CT. Raises REC-001, REC-003."""
     found = results_of(LocalizedFiducials, run.valid_records)
     rows = []
-    for number, one in enumerate(found[-1].result.markers if found else ()):
+    for number, one in (found[-1].result.numbered if found else {}).items():
         fit = (one.radius_mm, one.quality, one.agreement_mm, one.odds)
-        rows.append((sphere_name(number), one.centre_mm, one.covariance_mm2, *fit))
+        rows.append((sphere_name(number - 1), one.centre_mm, one.covariance_mm2, *fit))
     return RunTable.of(SPHERES, rows)
 
 

@@ -49,8 +49,9 @@ def write_spheres(
         return
     from procedures.exchange import dicom_objects  # pydicom: half a second
 
-    markers = [marker.document() for marker in spheres_found.markers]
-    key = hashlib.sha256(canonical_json(markers)).hexdigest()
+    numbered = dict(enumerate(spheres_found.markers, start=1))
+    markers = {number: marker.document() for number, marker in numbered.items()}
+    key = hashlib.sha256(canonical_json(list(markers.values()))).hexdigest()
     origin = dicom_objects.Origin(
         spheres_found.series_instance_uid,
         spheres_found.frame_of_reference_uid,
@@ -61,41 +62,41 @@ def write_spheres(
     ct = CtIdentity(origin.series_instance_uid, origin.frame_of_reference_uid, study_instance_uid)
     for path in paths:
         if is_dicom(path):
-            made = dicom_objects.sphere_fiducials(spheres_found.markers, origin)
+            made = dicom_objects.sphere_fiducials(numbered, origin)
             dicom_objects.write(made if study is None else study.file_object(made), path)
             continue
         if path.name.endswith(MARKUPS):
-            text = slicer_markups(spheres_found.markers, ct)
+            text = slicer_markups(numbered, ct)
         else:
-            text = document(markers, ct) if path.name.endswith(JSON) else table(spheres_found.markers, ct)
+            text = document(markers, ct) if path.name.endswith(JSON) else table(numbered, ct)
         try:
             write_atomically(path, text.encode())
         except OSError as error:
             raise NOT_WRITABLE(f"cannot write {path}: {error.strerror}") from error
 
 
-def slicer_markups(markers: Sequence[Marker], ct: CtIdentity) -> str:
+def slicer_markups(numbered: Mapping[int, Marker], ct: CtIdentity) -> str:
     """Format a `.mrk.json` with one control point per sphere, LPS in mm."""
     points = {
         name: (marker.centre_mm, f"uncertainty {marker.sigma_mm:.4f} mm rms")
-        for name, marker in name_spheres(markers).items()
+        for name, marker in name_spheres(numbered).items()
     }
     return format_markups([build_markup("Fiducial", "spheres", points)], ct, IN_CT)
 
 
-def table(markers: Sequence[Marker], ct: CtIdentity) -> str:
+def table(numbered: Mapping[int, Marker], ct: CtIdentity) -> str:
     """Format a CSV with name, L, P, S and uncertainty in mm."""
     rows = []
-    for name, one in name_spheres(markers).items():
+    for name, one in name_spheres(numbered).items():
         centre = dict(zip(("L_mm", "P_mm", "S_mm"), one.centre_mm, strict=True))
         rows.append({"name": name, **centre, "uncertainty_mm": one.sigma_mm, **ct.describe(IN_CT)})
     return format_table("spheres.csv", rows)
 
 
-def document(markers: Sequence[Mapping[str, Any]], ct: CtIdentity) -> str:
+def document(numbered: Mapping[int, Mapping[str, Any]], ct: CtIdentity) -> str:
     """Format the spheres and their series as JSON, in localization order and LPS mm."""
     content = {
         **ct.describe(IN_CT),
-        "spheres": [{"name": name, **marker} for name, marker in name_spheres(markers).items()],
+        "spheres": [{"name": name, **marker} for name, marker in name_spheres(numbered).items()],
     }
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

@@ -35,8 +35,10 @@ _NAMES = {"L": "sagittal", "R": "sagittal", "P": "coronal", "A": "coronal", "S":
 _OPPOSITE = {"L": "R", "R": "L", "P": "A", "A": "P", "S": "I", "I": "S"}
 
 
-def draw_markers(volume: Volume, localization: Localization) -> tuple[bytes, ...]:
-    """Draw a PNG of each marker, in the order of `localization.markers`.
+def draw_markers(
+    volume: Volume, localization: Localization, numbers: Sequence[int] | None = None
+) -> tuple[bytes, ...]:
+    """Draw a PNG of each marker, in the order of `localization.markers`, by default numbered from 1.
 
     Each shows three planes of the voxel grid through the centre with the fitted sphere. Letters mark the
     patient's sides; blue is outside the scan.
@@ -44,7 +46,9 @@ def draw_markers(volume: Volume, localization: Localization) -> tuple[bytes, ...
     sheet = _Sheet(volume)
     return tuple(
         sheet.draw(np.array(marker.centre_mm), marker.radius_mm, _head_marker(marker, number))
-        for number, marker in enumerate(localization.markers, start=1)
+        for number, marker in zip(
+            numbers or range(1, len(localization.markers) + 1), localization.markers, strict=True
+        )
     )
 
 

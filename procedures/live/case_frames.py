@@ -122,13 +122,15 @@ class CaseFrames:
             theatre_time_s=now_s,
             spheres=tuple(
                 Fiducial(
-                    name=f"M{index + 1}",
+                    name=f"M{number}",
                     position_mm=vector3(marker.centre_mm),
                     diameter_mm=spheres.diameter_mm,
-                    residual_mm=residual_mm.get(index),
-                    is_used=None if registered is None else index in residual_mm and index not in left_out,
+                    residual_mm=residual_mm.get(number - 1),
+                    is_used=None
+                    if registered is None
+                    else number - 1 in residual_mm and number - 1 not in left_out,
                 )
-                for index, marker in enumerate(spheres.markers)
+                for number, marker in spheres.numbered.items()
             ),
         )
 

@@ -123,12 +123,14 @@ def _spheres(reading: RunReading, pose: Transform | None) -> tuple[SphereFigure,
     }
     return tuple(
         SphereFigure(
-            number=index + 1,
+            number=number,
             ct_mm=None if pose is None else _point(pose.apply(marker.centre_mm)),
-            tracker_mm=_point(tracked.points_mm[partner[index]]) if tracked and index in partner else None,
-            stereo_mm=stereo.get(index),
+            tracker_mm=_point(tracked.points_mm[partner[number - 1]])
+            if tracked and number - 1 in partner
+            else None,
+            stereo_mm=stereo.get(number - 1),
         )
-        for index, marker in enumerate(localized.markers)
+        for number, marker in localized.numbered.items()
     )
 
 

@@ -176,7 +176,7 @@ def build_finished_outcome(
         strategy=request.case.strategy,
         localizer=request.case.methods.localizer,
         matcher=request.case.methods.matcher,
-        markers=len(used_spheres(case).markers),
+        markers=len(used_spheres(case).shown),
         ct=truth.ct,
         registration=RegistrationOutcome(
             n=registered[names[0]].pairs, fre_mm=tuple(one.fre_mm for one in registered.values())

@@ -67,8 +67,8 @@ def read_spheres(reading: RunReading, truth: Truth | None) -> Spheres:
         series=reading.find(ImportedCt),
         truth=None if truth is None else truth.ct,
         rows=tuple(
-            SphereRow(index + 1, marker, paired_mm.get(index))
-            for index, marker in enumerate(() if localization is None else localization.markers)
+            SphereRow(number, marker, paired_mm.get(number - 1))
+            for number, marker in ({} if localization is None else localization.numbered).items()
         ),
         tracked=tracked is not None,
         unpaired_mm=tuple(point for place, point in enumerate(points_mm) if place not in partners.values()),

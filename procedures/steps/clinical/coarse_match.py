@@ -64,8 +64,11 @@ def coarse_match(
     prior: PosePrior,
     methods: CaseMethods,
 ) -> Match:
-    """Match spheres in CT and room (m, 3), mm, by the plan's template or else by distances."""
-    image, expected = localized.centres_mm, localized.count_expected(plan.implanted)
+    """Match spheres in CT and room (m, 3), mm, by the plan's template or else by distances.
+
+    The match counts the spheres that are `shown`.
+    """
+    image, expected = localized.centres_mm[list(localized.shown)], localized.count_expected(plan.implanted)
     template_mm, sigma_mm = plan.plan.template_mm, IMPLANTED_SIGMA_MM
     if plan.plan.fiducials is FiducialKind.XFRAME:
         template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import isinf
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
@@ -83,11 +84,12 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     localization = context.result(LocalizedFiducials)
     room = context.result(GlobalLocalization)
     plan = context.result(CheckedPlan)
-    image, physical = localization.centres_mm, room.points_mm
+    shown = np.array(localization.shown)  # what is matched is counted among them
+    image, physical = localization.centres_mm[shown], room.points_mm
     prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
     methods = context.clinical.methods
     found = coarse_match(plan, localization, physical, prior, methods)
-    found, left_out = _match_fewer_if_agreed(context, found, image, physical, prior)
+    found, left_out = _match_fewer_if_agreed(context, found, shown, image, physical, prior)
     transform = found.require_unique()
     pairs = np.asarray(found.pairs)
     mirrored = mirror_images(image[pairs[:, 0]], physical[pairs[:, 1]], prior)
@@ -96,13 +98,20 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     except HeadElsewhere:
         _require_base_in_place(context, room)
         raise
-    table = verify_two_way(image, physical, pairs, transform, ct_disagreement_mm=localization.disagreement_mm)
+    of_ct = np.column_stack([shown[pairs[:, 0]], pairs[:, 1]])
+    table = verify_two_way(
+        localization.centres_mm,
+        physical,
+        of_ct,
+        transform,
+        ct_disagreement_mm=localization.disagreement_mm,
+    )
     residuals = np.linalg.norm(physical[pairs[:, 1]] - transform.apply(image[pairs[:, 0]]), axis=1)
     is_thesis = methods.matcher is Matcher.THESIS
     return Outcome(
         Correspondence(
             status=MatchStatus(found.status),
-            pairs=pairs.tolist(),
+            pairs=of_ct.tolist(),
             robot_from_ct=FramedPose.of(Transform(Frame.ROBOT, Frame.CT, transform)),
             residuals_mm=residuals.tolist(),
             margin_nats=None if found.margin_nats is None or isinf(found.margin_nats) else found.margin_nats,
@@ -178,7 +187,12 @@ def _require_base_in_place(context: StepContext, room: GlobalLocalization) -> No
 
 
 def _match_fewer_if_agreed(
-    context: StepContext, found: Match, image: Array, physical: Array, prior: RoomPrior
+    context: StepContext,
+    found: Match,
+    shown: NDArray[np.int_],
+    image: Array,
+    physical: Array,
+    prior: RoomPrior,
 ) -> tuple[Match, tuple[LeftOutSphere, ...]]:
     """If matching fails and the operator agrees, match fewer spheres than were implanted."""
     if found.status not in (MatchStatus.TOO_FEW, MatchStatus.INCONSISTENT):
@@ -190,7 +204,8 @@ def _match_fewer_if_agreed(
     nearest_mm = np.linalg.norm(physical[None] - places[:, None], axis=2).min(axis=1)
     left_out = tuple(
         LeftOutSphere(
-            fiducial=one, reason=f"the tracker sees nothing within {nearest_mm[one]:.1f} mm of its position"
+            fiducial=int(shown[one]),
+            reason=f"the tracker sees nothing within {nearest_mm[one]:.1f} mm of its position",
         )
         for one in rest.unmatched_image
     )

@@ -60,6 +60,16 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
         """Centres (n, 3), LPS mm."""
         return np.array([marker.centre_mm for marker in self.markers], dtype=float).reshape(-1, 3)
 
+    @property
+    def shown(self) -> tuple[int, ...]:
+        """Indices of the spheres that may be measured: their scan shows them."""
+        return tuple(range(len(self.markers)))
+
+    @property
+    def numbered(self) -> dict[int, Marker]:
+        """The spheres that may be measured, by their number for people: counted from 1, as in the CT."""
+        return {index + 1: self.markers[index] for index in self.shown}
+
     def count_expected(self, implanted: int) -> int:
         """Return the number of spheres to match in the room, of as many as the plan has `implanted`."""
         return implanted
@@ -87,7 +97,7 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     @property
     def disagreement_mm(self) -> dict[int, float]:
         """Distance (mm) between the two estimates of each centre, by index."""
-        return {index: marker.agreement_mm for index, marker in enumerate(self.markers)}
+        return {index: self.markers[index].agreement_mm for index in self.shown}
 
     @property
     def assumed_error(self) -> str:

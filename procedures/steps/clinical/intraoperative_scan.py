@@ -2,13 +2,15 @@
 
 Its spheres stand in for those of the CT in all later steps, so what was refitted or has moved since the CT
 no longer counts; the plan stays in the CT. What counts instead is the error of the scan's place in the CT.
+A sphere keeps its number in the CT; one that is new since then has a number after those.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
+from itertools import count
 from math import dist
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -70,27 +72,28 @@ SixVectors = Annotated[tuple[Numbers3, ...], Field(min_length=6, max_length=6)]
 
 
 class ScannedSphere(Values):
-    """Sphere of the scan, in the order of the markers, and what became of it since the CT."""
+    """Sphere that the scan shows, and what became of it since the CT."""
 
+    fiducial: int = Field(description="Its index in the CT; one that is new since then follows after those.")
     in_scan_mm: Numbers3 = Field(description="Centre in the scan, LPS.")
     sigma_mm: float = Field(description="Stated 3-D rms error of the centre.")
     is_cut: bool = Field(description="The field of the scan cuts it or its surroundings.")
-    ct_sphere: int | None = Field(
-        description="Index of the sphere of the CT on that screw; none if it is new."
-    )
-    moved_mm: float | None = Field(description="Distance from its place at the CT.")
+    moved_mm: float | None = Field(description="Distance from its place at the CT; none if it is new.")
     agrees: bool = Field(description="It took part in the adjustment with the bone.")
 
 
 class UnusedSphere(Values):
     """Sphere of the CT that the scan does not show well enough to be used."""
 
-    ct_sphere: int = Field(description="Its index in the CT.")
+    fiducial: int = Field(description="Its index in the CT.")
     reason: str = Field(description="Why it is not used.")
 
 
 class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
-    """Spheres found in a scan of the clamped head, in the coordinates of the planning CT."""
+    """Spheres found in a scan of the clamped head, in the coordinates of the planning CT.
+
+    A sphere of the CT that it does not show keeps its index and its place in the CT, and is not measured.
+    """
 
     ct_from_scan: FusedPose = Field(description="Pose planning CT <- scan.")
     ct_deformation: ScanDeformation | None = Field(
@@ -108,7 +111,7 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     bone_agreement: float = Field(description="Correlation of the bone of both scans.")
     agreeing_starts: int = Field(description="Starting poses of the bone that led to this one.")
     starts: int = Field(description="Starting poses tried.")
-    spheres: tuple[ScannedSphere, ...] = Field(description="The markers one by one, in their order.")
+    spheres: tuple[ScannedSphere, ...] = Field(description="Those that the scan shows, in their order.")
     unused: tuple[UnusedSphere, ...] = Field(
         default=(), description="Spheres of the CT that the scan does not show, or not whole."
     )
@@ -118,13 +121,10 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
 
     since: ClassVar[str] = "the scan during the operation"
 
-    def list_renumbered(self) -> Iterator[str]:
-        """Yield in words which spheres are new or have another number, counted from 1, than in the CT."""
-        for number, one in enumerate(self.spheres, start=1):
-            if one.ct_sphere is None:
-                yield f"sphere {number} is new"
-            elif one.ct_sphere + 1 != number:
-                yield f"sphere {number} is {one.ct_sphere + 1} of the CT"
+    @property
+    def shown(self) -> tuple[int, ...]:
+        """Indices of the spheres that the scan shows."""
+        return tuple(one.fiducial for one in self.spheres)
 
     def file_differences(self, series: Path) -> str:
         """Say how the files in `series` differ from the scan that was taken; empty if they do not.
@@ -135,7 +135,7 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
 
     def count_expected(self, implanted: int) -> int:
         """Return the number of spheres to match: those that the smaller field shows."""
-        return min(implanted, len(self.markers))
+        return min(implanted, len(self.shown))
 
     def seating_mm(self, stated_mm: float) -> float:
         """Return no error: the spheres were scanned as they sit."""
@@ -224,27 +224,26 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
         )
     targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
     require_certain(placed.pose, targets_mm)
-    for number, picture in enumerate(draw_markers(volume, found), start=1):
+    numbers = number_spheres(placed, len(found.markers), len(before.markers))
+    for number, picture in zip(numbers, draw_markers(volume, found, numbers), strict=True):
         context.keep_picture(f"scan-{number}.png", picture)
     context.setting.memory.drop(Volume)
     unused = find_unused(before, volume, found, placed)
     result = _record(before, found, files_sha256, bone, placed, plan, unused)
-    moved = [one for one in result.spheres if not one.agrees and one.ct_sphere is not None]
+    moved = [one for one in result.spheres if not one.agrees and one.moved_mm is not None]
     for one in moved:
-        context.find(
-            f"sphere {(one.ct_sphere or 0) + 1} of the CT has moved by {one.moved_mm:.2f} mm since then"
-        )
+        context.find(f"sphere {one.fiducial + 1} has moved by {one.moved_mm:.2f} mm since the CT")
     for gone in result.unused:
-        context.find(f"sphere {gone.ct_sphere + 1} of the CT is not used: in the scan it {gone.reason}")
-    if renumbered := list(result.list_renumbered()):
-        context.find(f"from here on the spheres are numbered as the scan shows them: {'; '.join(renumbered)}")
+        context.find(f"sphere {gone.fiducial + 1} is not used: in the scan it {gone.reason}")
+    for new in (one.fiducial + 1 for one in result.spheres if one.moved_mm is None):
+        context.find(f"sphere {new} is new since the CT, which has {len(before.markers)}")
     cut = sum(one.is_cut for one in result.spheres)
     return Outcome(
         result,
         summary=f"{format_count(len(result.spheres), 'sphere')}, {placed.agreeing} where the CT has them"
         + (f"; moved since the CT: {len(moved)}" if moved else "")
         + (f"; at the end of the field: {cut}" if cut else "")
-        + "".join(f"; sphere {one.ct_sphere + 1} of the CT {one.reason}" for one in result.unused)
+        + "".join(f"; sphere {one.fiducial + 1} {one.reason}" for one in result.unused)
         + f"; expected error of its place in the CT {max(result.expected_mm.values()):.2f} mm rms"
         + ("" if described.is_clinical else f"; by {before.localizer}: {NOT_CLINICAL}"),
     )
@@ -348,8 +347,15 @@ def find_unused(
             reason = "is outside the field of view"
         else:
             reason = "is not there"
-        unused.append(UnusedSphere(ct_sphere=index, reason=reason))
+        unused.append(UnusedSphere(fiducial=index, reason=reason))
     return tuple(unused)
+
+
+def number_spheres(placed: PlacedScan, shown: int, in_ct: int) -> tuple[int, ...]:
+    """Return the numbers, from 1, of as many spheres as a scan shows: as in the CT, new ones after those."""
+    of_ct = {pair.scan: pair.ct + 1 for pair in placed.pairs}
+    new = count(in_ct + 1)
+    return tuple(of_ct[one] if one in of_ct else next(new) for one in range(shown))
 
 
 def _scanned(markers: tuple[Marker, ...]) -> ScannedSpheres:
@@ -373,31 +379,26 @@ def _record(
     plan: CheckedPlan,
     unused: tuple[UnusedSphere, ...],
 ) -> IntraoperativeSpheres:
-    """Return the spheres in the coordinates of the CT: first those of the CT in its order, then new ones."""
+    """Return the spheres in the coordinates of the CT: those of the CT at their indices, then new ones."""
     pose, pairs = placed.pose, {pair.scan: pair for pair in placed.pairs}
-    order = sorted(
-        range(len(found.markers)),
-        key=lambda index: (index not in pairs, pairs[index].ct if index in pairs else index),
-    )
+    numbers = number_spheres(placed, len(found.markers), len(before.markers))
     rotation = pose.ct_from_scan.rotation.as_matrix()
-    markers, spheres = [], []
-    for index in order:
+    markers, spheres = dict(enumerate(before.markers)), []
+    for number, index in sorted(zip(numbers, range(len(numbers)), strict=True)):
         marker, pair = found.markers[index], pairs.get(index)
         covariance = rotation @ np.array(marker.covariance_mm2) @ rotation.T
-        markers.append(
-            marker.model_copy(
-                update={
-                    "centre_mm": vector3(pose.ct_from_scan.apply(np.array(marker.centre_mm))),
-                    "covariance_mm2": tuple(map(vector3, covariance)),
-                }
-            )
+        markers[number - 1] = marker.model_copy(
+            update={
+                "centre_mm": vector3(pose.ct_from_scan.apply(np.array(marker.centre_mm))),
+                "covariance_mm2": tuple(map(vector3, covariance)),
+            }
         )
         spheres.append(
             ScannedSphere(
+                fiducial=number - 1,
                 in_scan_mm=marker.centre_mm,
                 sigma_mm=marker.sigma_mm,
                 is_cut=CUT_BY_FIELD in marker.flags,
-                ct_sphere=None if pair is None else pair.ct,
                 moved_mm=None if pair is None else pair.moved_mm,
                 agrees=pair is not None and pair.agrees,
             )
@@ -408,7 +409,7 @@ def _record(
     return IntraoperativeSpheres(
         series_instance_uid=found.series_instance_uid,
         diameter_mm=found.diameter_mm,
-        markers=tuple(markers),
+        markers=tuple(markers.values()),
         doubtful=(),
         deformation=found.deformation,
         ct_deformation=before.deformation,

@@ -23,8 +23,16 @@ def scanned_spheres() -> IntraoperativeSpheres:
         flags=(),
         odds=1.0,
     )
-    sphere = ScannedSphere(
-        in_scan_mm=(1.0, 2.0, 3.0), sigma_mm=0.03, is_cut=False, ct_sphere=0, moved_mm=0.7, agrees=False
+    spheres = tuple(
+        ScannedSphere(
+            fiducial=index,
+            in_scan_mm=(1.0, 2.0, 3.0),
+            sigma_mm=0.03,
+            is_cut=False,
+            moved_mm=0.7,
+            agrees=False,
+        )
+        for index in range(4)
     )
     unit = np.eye(6) * ([1e-3] * 3 + [PLACE_SIGMA_MM] * 3)
     return IntraoperativeSpheres(
@@ -40,6 +48,6 @@ def scanned_spheres() -> IntraoperativeSpheres:
         bone_agreement=0.95,
         agreeing_starts=6,
         starts=6,
-        spheres=(sphere,) * 4,
+        spheres=spheres,
         expected_mm={"T1": 0.17},
     )

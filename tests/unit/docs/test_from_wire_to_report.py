@@ -296,7 +296,7 @@ def test_a_sphere_of_the_slices_is_that_of_the_dicom_item(tmp_path: Path) -> Non
         kept = LocalizedFiducials.model_fields["markers"].annotation
         (read_back,) = TypeAdapter(kept).validate_json(TypeAdapter(kept).dump_json((marker,)))
         origin = Origin(SERIES_UID, FRAME_UID, datetime(2026, 11, 25, tzinfo=UTC), "a hash")
-        file = write(sphere_fiducials((read_back,), origin), tmp_path / "spheres.dcm")
+        file = write(sphere_fiducials({1: read_back}, origin), tmp_path / "spheres.dcm")
     assert set(modules_of("A marker of the CT")) - OF_A_RUN <= run
     (item,) = dcmread(file).FiducialSetSequence[0].FiducialSequence
     centre_mm = [float(value) for value in item.ContourData]

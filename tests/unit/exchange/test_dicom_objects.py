@@ -41,6 +41,7 @@ SPHERES = (
     localized_marker((-80.0, 33.3, 7.25), np.diag([0.02 * 0.02, 0.0, 0.0])),
 )
 NAMES = ("M1", "M2")
+NUMBERED = dict(enumerate(SPHERES, start=1))
 POSE = Transform(
     Frame.ROBOT,
     Frame.CT,
@@ -88,16 +89,16 @@ def registration() -> Dataset:
     return spatial_registration(POSE, ORIGIN, description="trajectory T1", fiducial_uids=used)
 
 
-OBJECTS = {"registration": registration, "fiducials": lambda: sphere_fiducials(SPHERES, ORIGIN)}
+OBJECTS = {"registration": registration, "fiducials": lambda: sphere_fiducials(NUMBERED, ORIGIN)}
 
 
 def test_the_objects_of_a_ct_share_its_study_or_one_that_is_derived_from_it() -> None:
     known = replace(ORIGIN, study_instance_uid="1.2.826.0.1.3")
-    assert sphere_fiducials(SPHERES, known).StudyInstanceUID == "1.2.826.0.1.3"
+    assert sphere_fiducials(NUMBERED, known).StudyInstanceUID == "1.2.826.0.1.3"
     assert spatial_registration(POSE, known).StudyInstanceUID == "1.2.826.0.1.3"
     others = replace(ORIGIN, key="another result")
-    assert len({sphere_fiducials(SPHERES, one).StudyInstanceUID for one in (ORIGIN, others)}) == 1
-    assert len({sphere_fiducials(SPHERES, one).SeriesInstanceUID for one in (ORIGIN, others)}) == 2
+    assert len({sphere_fiducials(NUMBERED, one).StudyInstanceUID for one in (ORIGIN, others)}) == 1
+    assert len({sphere_fiducials(NUMBERED, one).SeriesInstanceUID for one in (ORIGIN, others)}) == 2
 
 
 def test_a_registration_says_in_which_direction_its_matrix_maps() -> None:
@@ -137,7 +138,7 @@ def test_gdcm_reads_the_same_matrix_between_the_same_frames(tmp_path: Path) -> N
 
 
 def test_gdcm_reads_the_same_spheres(tmp_path: Path) -> None:
-    read = GdcmObject(write(sphere_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
+    read = GdcmObject(write(sphere_fiducials(NUMBERED, ORIGIN), tmp_path / "fid.dcm"))
     (group,) = read.items(read.whole, FIDUCIAL_SETS)
     assert read.text(group, FRAME_OF_REFERENCE) == ORIGIN.frame_of_reference_uid
     spheres = read.items(group, FIDUCIALS)
@@ -160,7 +161,7 @@ def test_dcmtk_reads_the_same_matrix(tmp_path: Path) -> None:
 
 @needs("dcmdump")
 def test_dcmtk_reads_the_same_spheres(tmp_path: Path) -> None:
-    said = dump(write(sphere_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
+    said = dump(write(sphere_fiducials(NUMBERED, ORIGIN), tmp_path / "fid.dcm"))
     centres = re.findall(r"\(3006,0050\) DS \[([^\]]*)\]", said)
     assert [tuple(float(x) for x in text.split("\\")) for text in centres] == [s.centre_mm for s in SPHERES]
     assert re.findall(r"\(0070,0312\) FD ([\d.]+)", said) == ["0.0123", "0.02"]
@@ -177,7 +178,9 @@ def test_no_object_contains_patient_data() -> None:
 def test_equal_results_give_equal_objects_and_different_ones_different_uids() -> None:
     again = Origin("1.2.826.0.1.1", "1.2.826.0.1.2", ORIGIN.made, "another hash")
     assert registration() == registration()
-    assert sphere_fiducials(SPHERES, again).SOPInstanceUID != sphere_fiducials(SPHERES, ORIGIN).SOPInstanceUID
+    assert (
+        sphere_fiducials(NUMBERED, again).SOPInstanceUID != sphere_fiducials(NUMBERED, ORIGIN).SOPInstanceUID
+    )
 
 
 @pytest.mark.parametrize("value", [0.1234567890123456789, -1e-17, 123456.78901234567, -1.0, 3e-300, 0.0])
@@ -195,6 +198,6 @@ def test_an_unwritable_path_is_reported(tmp_path: Path) -> None:
 def test_plain_files_contain_names_centres_and_uncertainties() -> None:
     ct = CtIdentity("1.2.826.0.1.1", "1.2.826.0.1.2", "1.2.826.0.1.3")
     row = "M1,12.345678,-0.001,100.0,0.0123,LPS,ct,mm,1.2.826.0.1.1,1.2.826.0.1.2,1.2.826.0.1.3"
-    assert table(SPHERES, ct).splitlines()[1] == row
-    assert '"coordinateSystem": "LPS"' in slicer_markups(SPHERES, ct)
-    assert "-80.0" in slicer_markups(SPHERES, ct)
+    assert table(NUMBERED, ct).splitlines()[1] == row
+    assert '"coordinateSystem": "LPS"' in slicer_markups(NUMBERED, ct)
+    assert "-80.0" in slicer_markups(NUMBERED, ct)

@@ -35,6 +35,7 @@ from procedures.steps.clinical.intraoperative_scan import (
     IntraoperativeSpheres,
     find_unused,
     localize_whole,
+    number_spheres,
     require_scan_of_operation,
 )
 from procedures.workcell import MountedTool
@@ -135,11 +136,18 @@ def test_a_person_says_that_the_scan_is_of_the_head_as_clamped_and_a_no_takes_no
     assert engine.case.find(IntraoperativeSpheres, None) is None
 
 
-def test_spheres_that_get_another_number_than_in_the_ct_are_listed() -> None:
-    sphere = scanned_spheres().spheres[0]
-    shown = tuple(sphere.model_copy(update={"ct_sphere": one}) for one in (0, 2, None))
-    result = scanned_spheres().model_copy(update={"spheres": shown})
-    assert list(result.list_renumbered()) == ["sphere 2 is 3 of the CT", "sphere 3 is new"]
+def test_a_sphere_keeps_its_number_of_the_ct_and_a_new_one_comes_after_those() -> None:
+    pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), np.eye(6))
+    placed = PlacedScan(pose, (SpherePair(0, 3, 0.1, True), SpherePair(2, 0, 0.1, True)))
+    assert number_spheres(placed, shown=4, in_ct=4) == (4, 5, 1, 6)
+
+
+def test_a_sphere_that_the_scan_does_not_show_keeps_its_number_and_is_not_measured() -> None:
+    whole = scanned_spheres()
+    result = whole.model_copy(update={"spheres": (*whole.spheres[:1], *whole.spheres[2:])})
+    assert list(result.numbered) == [1, 3, 4]
+    assert result.count_expected(4) == 3
+    assert len(result.markers) == 4
 
 
 def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
@@ -205,7 +213,7 @@ def test_a_sphere_that_the_field_cuts_off_is_named_by_its_number_in_the_ct() -> 
     )
     pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), np.eye(6))
     unused = find_unused(before, volume, found, PlacedScan(pose, (SpherePair(0, 0, 0.1, True),)))
-    assert [(one.ct_sphere, one.reason) for one in unused] == [
+    assert [(one.fiducial, one.reason) for one in unused] == [
         (1, "is cut off by the field"),
         (2, "is outside the field of view"),
         (3, "is not there"),
