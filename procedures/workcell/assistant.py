@@ -44,7 +44,7 @@ from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.roles import MASTER
-from ronna_hw.vectors import JointVector, vector3
+from ronna_hw.vectors import JointVector, Vector3, vector3
 
 POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodies, as drawn
 POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
@@ -516,6 +516,10 @@ class Assistant(SupervisedArm):
         """Two standard errors of the force on the instrument, by which its limits are kept."""
         arm = self._arm
         return arm.force_error_N if isinstance(arm, StatesForceError) else 0.0
+
+    def read_force_N(self) -> Vector3 | None:
+        """Return the force on the holder now, ASSISTANT, without tare; None from an arm that states none."""
+        return self._arm.read_state().force_N
 
     @property
     def senses_force(self) -> bool:

@@ -10,6 +10,7 @@ DRILL = "drill"
 DURA = "dura"
 INSERT = "insert"  # the instrument, up to its stop
 HOLDER = "holder"  # put the instrument into the assistant's holder, its stop against the clamp, and close it
+TEST_WEIGHT = "test_weight"  # hang it on that holder's clamp: its mass in kg; 0: take it off again
 EMPTY = "empty"  # take the instrument, or the drill, out of that holder
 DRILL_HOLDER = "drill_holder"  # put the drill there: one number, tip to stop in mm, which is read
 TURN_DRILL = "turn_drill"  # switch it on
@@ -32,6 +33,7 @@ TASKS = (
     DURA,
     INSERT,
     HOLDER,
+    TEST_WEIGHT,
     EMPTY,
     DRILL_HOLDER,
     TURN_DRILL,

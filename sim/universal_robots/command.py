@@ -80,6 +80,7 @@ def ur(
     controller.loads.on_tool = SimulatedLoad(room)
     if (held := room.scene.holders.get(role)) is not None:
         controller.loads.skull = DrilledSkull(room, role)
+        controller.loads.hung_kg = room.hung_kg
         controller.loads.instrument = frame_of_matrix_mm(matrix_of(held.flange_from_clamp))
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)

@@ -6,7 +6,7 @@ are those that the vendor publishes for dynamics (U: quoted from memory), in the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import exp, sqrt
 from random import Random
 from typing import Final
@@ -89,6 +89,8 @@ class Loads:
         self._push_n: Force = NONE
         self.tissue: Tissue | None = None
         self.skull: DrilledSkull | None = None  # under the drill in a holder
+        self.hung_kg: Callable[[], float] | None = None  # test weight on that holder
+        self._hung_n = 0.0
         self._drill_n = 0.0
         self.instrument: LinkPose | None = None  # held beside the flange; its z axis replaces the tool's
         self.force_n: Force = NONE  # of the room on the tool
@@ -116,8 +118,9 @@ class Loads:
         """Compute the loads of this cycle, and what the controller knows of them."""
         self._push_n = NONE if self.on_tool is None else self.on_tool.push_N()
         self._drill_n = 0.0 if self.skull is None else self.skull.thrust_N()
+        self._hung_n = 0.0 if self.hung_kg is None else GRAVITY_M_S2 * self.hung_kg()
         along_n = self.axial_n or self._drill_n
-        if along_n or self.tissue is not None or self.hand_n is not NONE or any(self._push_n):
+        if along_n or self._hung_n or self.tissue is not None or self.hand_n is not NONE or any(self._push_n):
             self.force_n = self._present_force()
         else:
             self.force_n = NONE
@@ -185,6 +188,7 @@ class Loads:
 
     def _present_force(self) -> Force:
         x, y, z = (a + b for a, b in zip(self.hand_n, self._push_n, strict=True))
+        z -= self._hung_n
         tool = self._pushed()
         against = self.axial_n + self._drill_n
         if against:

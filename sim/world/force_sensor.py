@@ -12,12 +12,14 @@ from typing import Final
 import numpy as np
 
 from sim.world.drilling import DrilledSkull
+from sim.world.held_torques import GRAVITY_M_S2
 from sim.world.noise import TabledNoise, noise
 from sim.world.options import ArmRole
-from sim.world.rigid import matrix_of
+from sim.world.rigid import Array, matrix_of
 from sim.world.world import World
 
 NO_FORCES: Final[Sequence[float]] = (0.0,) * 6
+NOTHING_HUNG: Final = np.zeros(6)
 MM: Final = 1000.0
 SECONDS_PER_MINUTE: Final = 60.0
 DEVICE: Final = "force sensor"  # noise key
@@ -30,13 +32,17 @@ class ForceSensor:
         """Draw the sensor's errors. Raises KeyError for an arm without one."""
         holder = world.scene.holders[role]
         assert holder.force_sensor is not None, "there is a sensor"
+        self._world, self._role = world, role
         self._clock, self._skull = world.clock, DrilledSkull(world, role)
+        self._robot_from_base = matrix_of(holder.robot_from_base)[:3, :3]
         clamp = matrix_of(holder.flange_from_clamp)
         axis, place_m = clamp[:3, 2], clamp[:3, 3] / MM
+        self._clamp_m = place_m
         self._along = -np.array([*axis, *np.cross(place_m, axis)])  # of each newton against the drill
         truth, draws = holder.force_sensor, noise(world.scene.seed, f"{DEVICE} {role.value}", 0)
         gains = 1.0 + draws.normal(0.0, truth.gain_share, 6)
-        self._shows = np.diag(gains) + draws.normal(0.0, truth.crosstalk_share, (6, 6)) * (1.0 - np.eye(6))
+        crosstalk = draws.normal(0.0, truth.crosstalk_share, (6, 6)) * (1.0 - np.eye(6))
+        self._shows = truth.scale * (np.diag(gains) + crosstalk)
         units = np.array([1.0] * 3 + [truth.noise_Nm / truth.noise_N if truth.noise_N else 0.0] * 3)
         self._bias = draws.normal(0.0, truth.bias_N, 6) * units
         self._drift_s = draws.normal(0.0, truth.drift_N_min / SECONDS_PER_MINUTE, 6) * units
@@ -49,9 +55,17 @@ class ForceSensor:
         thrust_N = self._skull.thrust_N()
         if not is_dead:
             drifted = self._bias + self._clock.now_s() * self._drift_s
-            shown = self._shows @ (thrust_N * self._along) + drifted
+            shown = self._shows @ (thrust_N * self._along + self._hung_weight()) + drifted
             self._last = (shown + self._sizes * self._noise.at(cycle, 6)).tolist()
         return self._last
+
+    def _hung_weight(self) -> Array:
+        """Return force and torque (6,) of the test weight on the clamp, along the axes of the flange."""
+        if not (mass_kg := self._world.hung_kg()):
+            return NOTHING_HUNG
+        robot_from_flange = self._robot_from_base @ self._world.arm(self._role).robot_from_flange[:3, :3]
+        weight_N = -GRAVITY_M_S2 * mass_kg * robot_from_flange[2]
+        return np.array([*weight_N, *np.cross(self._clamp_m, weight_N)])
 
 
 def sensor_of(world: World, role: ArmRole) -> ForceSensor | None:

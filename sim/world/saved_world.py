@@ -80,6 +80,7 @@ class SavedWorld(Strict):
     drill: tuple[str, float, bool] | None = Field(
         default=None, description="Drill in the assistant's holder: trajectory, tip beyond the clamp, turns."
     )
+    hung_kg: float = Field(default=0.0, ge=0.0, description="Test weight on the assistant's holder.")
     opening: tuple[str, float, float] = Field(
         default=("", 0.0, 0.0),
         description="Opening drilled last: trajectory, bottom below the skin, tip beyond the skull.",
@@ -99,6 +100,7 @@ class SavedWorld(Strict):
             mountings=world.mountings(),
             inserted=world.inserted(),
             drill=world.held_drill(),
+            hung_kg=world.hung_kg(),
             opening=world.opening(),
             arm=SavedArm.from_world(world, ArmRole.MASTER),
             assistant=SavedArm.from_world(world, ArmRole.ASSISTANT),
@@ -111,6 +113,7 @@ class SavedWorld(Strict):
         world.mount_tool(self.mounted_tool, self.mountings)
         world.put_in_guide(self.inserted)
         world.hold_drill(None if self.drill is None else DrillRow(*self.drill))
+        world.hang_weight(self.hung_kg)
         world.note_opening(*self.opening)
         world.set_fault_script(self.standing_faults)
         for role, arm in ((ArmRole.MASTER, self.arm), (ArmRole.ASSISTANT, self.assistant)):

@@ -35,6 +35,7 @@ from ronna_hw.wire.room_tasks import (
     SCAN,
     SEATED,
     SKIN,
+    TEST_WEIGHT,
     TOUCH,
     TURN_DRILL,
     OnStand,
@@ -59,12 +60,14 @@ Readings = tuple[float, ...]
 STOP, DRILL_STOP, DIAL = "depth stop", "stop of the drill", "gauge"  # noise keys
 SCALE_MM = 0.05  # graduation of the depth stop: a vernier
 DIAL_MM = 0.001  # resolution of the digital gauge
+LARGEST_WEIGHT_KG = 3.0  # among the test weights of the room: what a small arm may carry
 POINTER_MM = 2.0  # one standard deviation per axis of a pointer set on skin by hand
 
 THROUGH_THE_GUIDE = (SKIN, DRILL, DURA, INSERT, SEATED)
 NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks need none
     DEPTH_STOP: (1, "a length in mm"),
     DRILL_HOLDER: (1, "a length in mm"),
+    TEST_WEIGHT: (1, "a mass in kg, 0 to take it off"),
     GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),
     TOUCH: (3, "a direction from the middle of the head: left, posterior, superior, as shares of its size"),
 }
@@ -102,6 +105,7 @@ class Staff:
             CART_PUSH: self._push_cart,
             INSERT: lambda: self._insert(trajectory),
             **dict.fromkeys((HOLDER, EMPTY), self._empty_holder),
+            TEST_WEIGHT: lambda: self._hang_weight(float(numbers[0])),
             DRILL_HOLDER: lambda: self._hold_drill(trajectory, float(numbers[0])),
             TURN_DRILL: lambda: self._switch_drill(turns=True),
             REST_DRILL: lambda: self._switch_drill(turns=False),
@@ -168,6 +172,14 @@ class Staff:
     def _empty_holder(self) -> Readings:
         """Take the drill, if it is there, out of the assistant's holder."""
         self._world.hold_drill(None)
+        return ()
+
+    def _hang_weight(self, mass_kg: float) -> Readings:
+        if not 0.0 <= mass_kg <= LARGEST_WEIGHT_KG:
+            raise TaskRefused(
+                f"there is no test weight of {mass_kg:g} kg", f"Use one of at most {LARGEST_WEIGHT_KG:g} kg."
+            )
+        self._world.hang_weight(mass_kg)
         return ()
 
     def _hold_drill(self, trajectory: str, setting_mm: float) -> Readings:

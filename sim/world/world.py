@@ -74,6 +74,12 @@ class DrillRow(NamedTuple):
     turns: Annotated[bool, "?"]
 
 
+class HungRow(NamedTuple):
+    """The test weight on the assistant's holder as plain data."""
+
+    mass_kg: Annotated[float, "d"]  # 0 for none
+
+
 class OpeningRow(NamedTuple):
     """The opening that was drilled last: its bottom below the skin, and the tip beyond the skull at most."""
 
@@ -92,6 +98,7 @@ _STAND = _MAP.word("I")  # content of the calibration stand: index in `OnStand`
 _INSTRUMENT = _MAP.rows(InstrumentRow)
 _DRILL = _MAP.rows(DrillRow)
 _OPENING = _MAP.rows(OpeningRow)
+_HUNG = _MAP.rows(HungRow)
 _STEP = _MAP.rows(SharedStep)
 _FAULTS_VERSION = _MAP.word()
 _FAULTS = _MAP.checked_bytes(FAULTS_CAPACITY_BYTES)
@@ -261,6 +268,14 @@ class World:
         if known.trajectory == trajectory:
             beyond_mm = max(beyond_mm, known.beyond_mm)
         _OPENING.write(self._memory, OpeningRow(trajectory, bottom_mm, beyond_mm))
+
+    def hung_kg(self) -> float:
+        """Return the mass of the test weight on the assistant's holder, 0 without one."""
+        return _HUNG.read(self._memory).mass_kg
+
+    def hang_weight(self, mass_kg: float) -> None:
+        """Hang a test weight on the assistant's holder, or take it off; for use by the control port only."""
+        _HUNG.write(self._memory, HungRow(mass_kg))
 
     def on_stand(self) -> OnStand:
         """Return the object on the calibration stand."""

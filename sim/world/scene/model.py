@@ -274,6 +274,10 @@ class ForceSensorTruth(Strict):
     gain_share: NotNegative = Field(
         default=0.005, description="Error of its gain, one standard deviation of each axis."
     )
+    scale: NotNegative = Field(
+        default=1.0,
+        description="Factor on all that it shows, as of electronics set to another range; 1 is right.",
+    )
     crosstalk_share: NotNegative = Field(
         default=0.01, description="Share of a force that shows on another axis, one standard deviation."
     )

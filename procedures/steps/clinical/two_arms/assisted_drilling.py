@@ -17,6 +17,7 @@ from procedures.planning.skull_section import SkullSection, measure_skull
 from procedures.steps.clinical.ct_import import volume_of
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import CranialOpening
+from procedures.steps.clinical.two_arms.force_check import require_true_force
 from procedures.steps.clinical.two_arms.insertion_axis import ABOVE_GUIDE_MM
 from procedures.steps.clinical.two_arms.over_guide import (
     LoadedTool,
@@ -116,7 +117,7 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
         _load_drill(context, stop_mm)
 
     held = HeldDrill(entry_mm=depths.at_entry_mm)
-    over = bring_over_guide(context, LoadedTool(stop_mm, held, load, ask))
+    over = bring_over_guide(context, LoadedTool(stop_mm, held, load, ask, require_true_force))
     axis = assistant.axis_in_base(over.axis)
     context.progress(0.3, f"the assistant leads the drill to the bone at {trajectory}")
     guided = guided_stretch(context, stop)

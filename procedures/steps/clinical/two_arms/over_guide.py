@@ -56,6 +56,7 @@ class LoadedTool(NamedTuple):
     drill: HeldDrill | None  # of one that is a drill
     load: Callable[[StepContext], None]
     ask: Callable[[InsertionAxis], str]  # whether the assistant may bring it over the guide, and lead it
+    prepare: Callable[[StepContext], None] | None = None  # with the holder empty, and the arm at home
 
 
 class OverGuide(NamedTuple):
@@ -87,6 +88,8 @@ def bring_over_guide(context: StepContext, tool: LoadedTool) -> OverGuide:
     missed = [] if assistant.place.is_home else ["at home, where it was not"]  # of the looks at its frame
     missed += _missed(context, "with the assistant home")
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
+    if tool.prepare is not None:
+        tool.prepare(context)
     _present_holder(context, assistant, tool.tip_mm)
     missed += _missed(context, "with the holder empty")
     assistant.hold_instrument(HeldInstrument(trajectory, tool.tip_mm, _parts_at_bore(context), tool.drill))
