@@ -21,13 +21,14 @@ from procedures.engine.methods import CaseMethods
 from procedures.fusion.record import FusedPose
 from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.intraoperative.bone_pose import PoseEstimate
+from procedures.intraoperative.bone_pose import BonePose, PoseEstimate
 from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING, TooFewWhole
 from procedures.intraoperative.placement import PlacedScan, SpherePair
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import Topic
+from procedures.operator.question import Question, Topic
 from procedures.planning.target_error import scan_errors
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
+from procedures.steps.clinical import intraoperative_scan
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.intraoperative_scan import (
     PLACE,
@@ -40,6 +41,7 @@ from procedures.steps.clinical.intraoperative_scan import (
 )
 from procedures.workcell import MountedTool
 from ronna_hw.records import Record
+from ronna_hw.vectors import vector3
 from sim.phantom.scanner.dicom_series import DicomSeries
 from sim.phantom.scanner.grid import CtGrid
 from sim.world.scene.model import CtProtocol, Scene
@@ -133,6 +135,54 @@ def test_a_person_says_that_the_scan_is_of_the_head_as_clamped_and_a_no_takes_no
     (asked,) = [one for one in cell.operator.asked if one.topic is Topic.SCANNED]
     assert asked.value_line.startswith("1 file of 20180602 in ")
     assert asked.value_line.endswith("it was there before this step began")
+    assert engine.case.find(IntraoperativeSpheres, None) is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.7], ids=["as in the CT", "refitted"])
+def test_spheres_that_all_sit_as_in_the_ct_are_asked_about_and_a_no_ends_the_step_without_a_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    cell.carrying(MountedTool.STEREO_HEAD).settled()
+    setting = cell.setting()
+    assert setting.clinical is not None
+    moved_mm = share * setting.settings.seating_error_mm
+    write_slice(setting.clinical.scan_series, draw_scene("default", seed=1000), "20180602")
+    before = localized_fiducials()
+    ways_mm = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    markers = tuple(
+        one.model_copy(update={"centre_mm": vector3(np.array(one.centre_mm) + moved_mm * way_mm)})
+        for one, way_mm in zip(before.markers, ways_mm, strict=True)
+    )
+    pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), 1e-4 * np.eye(6))
+    scan = SimpleNamespace(series_instance_uid="1.2.9")
+    for name, stand_in in {
+        "require_scan_of_operation": None,
+        "read_series": scan,
+        "localize_whole": Localization(markers, (), "1.2.9", "1.2.10", 11.5),
+        "volume_of": None,
+        "register_bone": BonePose(pose, 0.9, 6, 6),
+        "draw_markers": (b"",) * len(markers),
+        "find_unused": (),
+    }.items():
+        monkeypatch.setattr(intraoperative_scan, name, lambda *_a, _it=stand_in, **_k: _it)
+    asked = []
+
+    def answer(question: Question) -> None:  # no to the second question alone
+        if question.topic is Topic.SCANNED:
+            asked.append(question.subject)
+            cell.operator.refusing = (Topic.SCANNED,) if "surely another scan" in question.subject else ()
+
+    cell.operator.meanwhile = answer
+    engine = cell.begin(*(imported_ct(), before, checked_plan()), done_later(clamped_head()), STEP)
+    if share:
+        engine.run_to()
+        assert len(asked) == 1
+        assert engine.case.get(IntraoperativeSpheres).result.shown == (0, 1, 2, 3)
+        return
+    with raises(NotConfirmed, match="surely another scan"):
+        engine.run_to()
+    assert len(asked) == 2
     assert engine.case.find(IntraoperativeSpheres, None) is None
 
 
