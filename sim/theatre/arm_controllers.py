@@ -18,7 +18,7 @@ from sim.universal_robots.model import MODELS
 from sim.universal_robots.stated_chain import StatedChain, stated_chain
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.options import ArmRole
-from sim.world.scene.model import ArmTruth, Scene
+from sim.world.scene.model import ArmTruth, AssistantTruth, Scene
 
 FREE = "tcp://127.0.0.1:0"
 # 36 deg/s, the pace of the other arm, whose joints turn twice as fast at full speed.
@@ -61,9 +61,9 @@ class ArmController:
         silence_limit_s: float,
         cycle_ms: int | None,
         *,
-        has_force_sensor: bool = False,
+        holder: AssistantTruth | None = None,
     ) -> dict[str, Any]:
-        """Return the arm's table of a theatre file."""
+        """Return the arm's table of a theatre file; `holder` is of an arm that has one."""
         cycle = {} if cycle_ms is None else {"cycle_ms": cycle_ms}
         speed = {} if self.speed_fraction is None else {"speed_fraction": self.speed_fraction}
         return {
@@ -74,9 +74,18 @@ class ArmController:
                 "silence_limit_s": silence_limit_s,
                 **cycle,
                 **speed,
-                **({"force_sensor": True} if has_force_sensor else {}),
+                **({} if holder is None else _state_force(holder)),
             },
         }
+
+
+def _state_force(holder: AssistantTruth) -> dict[str, Any]:
+    """Return the options for the force on what a holder holds."""
+    error_N = holder.force_error_N
+    return {
+        **({} if holder.force_sensor is None else {"force_sensor": True}),
+        **({} if error_N is None else {"force_error_N": error_N}),
+    }
 
 
 def _state_measured_chain(truth: ArmTruth, seed: int, parameters: tuple[str, ...]) -> StatedChain:

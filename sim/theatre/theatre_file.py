@@ -86,7 +86,7 @@ def theatre_content(
                 endpoints[device],
                 silence_limit_s,
                 cycle_ms,
-                has_force_sensor=role in scene.holders and scene.holders[role].force_sensor is not None,
+                holder=scene.holders.get(role),
             )
             for role in ArmRole
             if (device := device_name(scene, role)) in endpoints

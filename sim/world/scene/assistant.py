@@ -39,6 +39,10 @@ BALL_MM = (0.0, 0.0, 160.0)  # at the end of the holder's post
 CLAMP_MM, CLAMP_TURN_DEG = (0.0, 0.0, 110.0), 90.0  # about y
 BUILT_MM, BUILT_DEG = 1.0, 0.5  # frame, post and clamp against their drawing; one sigma
 CLAMP = "clamp of the assistant"  # noise key
+# Two standard errors of a change of the force that an arm estimates by itself: for the e-Series the precision
+# of its data sheets (U: quoted from memory). Against another sensor a UR5e had means of 8.95 to 13.26 N for
+# 10 N (Trochimczuk et al., Sensors 26:1709, 2026). CB3 estimates by currents: 10 N (vendor's forum).
+FORCE_ERROR_N = {"ur5": 10.0, "ur3e": 2.0, "ur5e": 3.5, "ur10e": 5.0, "ur16e": 5.0}
 
 
 def add_assistant(scene: Scene, arm: ArmChoice = ArmChoice.KR6) -> Scene:
@@ -66,6 +70,7 @@ def add_assistant(scene: Scene, arm: ArmChoice = ArmChoice.KR6) -> Scene:
         flange_from_frame=_built(FRAME_MM, FRAME_TURN @ frame_turn, draws),
         flange_from_ball_mm=as_point(np.array(BALL_MM) + draws.normal(0.0, BUILT_MM, 3)),
         flange_from_clamp=_built(CLAMP_MM, clamp_turn, draws),
+        force_error_N=FORCE_ERROR_N.get(true_arm.variant),
         force_sensor=None if DESCRIPTIONS[true_arm.variant].make.senses_force else ForceSensorTruth(),
     )
     tools = tuple(one for one in scene.tracker.tools if one.part_number != ASSISTANT_FRAME_PART_NUMBER)

@@ -311,6 +311,11 @@ class AssistantTruth(Strict):
         default=None,
         description="Force sensor on the flange of an arm that senses no force by itself; none without.",
     )
+    force_error_N: Annotated[float, Field(ge=0, le=10)] | None = Field(
+        default=None,
+        description="Two standard errors of a change of its force, as the theatre file states them "
+        "(`force_error_N`); none: as the driver has it.",
+    )
     drills: bool = Field(
         default=False, description="Whether the theatre file has the assistant drill, not a hand."
     )

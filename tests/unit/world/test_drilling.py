@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ronna_hw.wire.room_tasks import DRILL_HOLDER, EMPTY, REST_DRILL, TURN_DRILL
+from ronna_hw.wire.room_tasks import DRILL_HOLDER, EMPTY, REST_DRILL, TEST_WEIGHT, TURN_DRILL
 from sim.world.drilling import DrilledSkull
 from sim.world.force_sensor import ForceSensor, sensor_of
 from sim.world.options import ArmRole
@@ -94,3 +94,25 @@ def test_a_sensor_shows_the_thrust_with_its_errors_and_repeats_itself_when_dead(
     assert change[:3] @ along == pytest.approx(20.0, rel=0.02)
     assert np.linalg.norm(change[:3] - (change[:3] @ along) * along) < 1.0
     assert sensor.read(801, is_dead=True) == sensor.read(802, is_dead=True)
+
+
+def test_a_test_weight_pulls_straight_down_by_the_scale_of_the_sensor_until_it_is_taken_off() -> None:
+    assert SCENE.assistant is not None
+    assert SCENE.assistant.force_sensor is not None
+    half = SCENE.assistant.force_sensor.model_copy(update={"scale": 0.5, "noise_N": 0.0})
+    assistant = SCENE.assistant.model_copy(update={"force_sensor": half})
+    world = World.create(SCENE.model_copy(update={"assistant": assistant}), paced=False)
+    world.mount_tool(SCENE.mount.tool_number_guide)
+    staff = Staff(world, None)
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # base <- flange: x is down
+    flange = matrix_from((500.0, 0.0, 800.0), turn)
+    world.publish_arm(ArmState((0.0,) * 6, flange, 1, True), ROLE)
+    sensor = ForceSensor(world, ROLE)
+    before = np.array(sensor.read(0))
+    staff.work(TEST_WEIGHT, "T1", (2.0,))
+    np.testing.assert_allclose(np.array(sensor.read(1))[:3] - before[:3], [9.81, 0.0, 0.0], atol=0.3)
+    assert SavedWorld.from_world(world).restore(SCENE, paced=False).hung_kg() == 2.0
+    staff.work(TEST_WEIGHT, "T1", (0.0,))
+    np.testing.assert_allclose(sensor.read(2), before, atol=1e-3)
+    with pytest.raises(TaskRefused, match="no test weight of 20 kg"):
+        staff.work(TEST_WEIGHT, "T1", (20.0,))

@@ -159,6 +159,9 @@ def _find_depths(context: StepContext, stop: DepthStop) -> DrillDepths | None:
         context.find(f"at {trajectory} a hand drills: the assistant senses no force")
         return None
     error_N = context.workcell.assistant.force_error_N
+    if not error_N:
+        context.find(f"at {trajectory} a hand drills: no error is stated of the assistant's force")
+        return None
     if error_N > FREE_N:  # bone could not be told from no bone
         context.find(
             f"at {trajectory} a hand drills: the force of the assistant errs by {error_N:g} N "

@@ -79,8 +79,15 @@ def test_a_breakthrough_elsewhere_is_for_the_operator(through: bool, depth_mm: f
         (True, False, DEPTHS.skull, 1.0, "senses no force"),
         (True, True, None, 1.0, "no skull with an inside"),
         (True, True, DEPTHS.skull, 1.5, r"errs by 1.5 N"),
+        (True, True, DEPTHS.skull, 0.0, "no error is stated"),
     ],
-    ids=["not asked for", "no force sensor", "no skull in the CT", "a force that errs by more than no bone"],
+    ids=[
+        "not asked for",
+        "no force sensor",
+        "no skull in the CT",
+        "a force that errs by more than no bone",
+        "a force of unknown error",
+    ],
 )
 def test_a_hand_drills_where_the_assistant_cannot(
     monkeypatch: pytest.MonkeyPatch,
