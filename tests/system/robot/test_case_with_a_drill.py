@@ -80,7 +80,7 @@ def test_after_an_emergency_stop_with_the_drill_turning_it_is_switched_off_led_o
     assert not any(map(is_motion, stopped[failed:]))
     folder = str(case.run_folder)
     shown = case.commands.run("ronna-procedure", "show", folder, timeout_s=LIMIT_S)
-    assert "may still turn" in shown.stdout
+    assert "MAY BE TURNING" in shown.stdout
     done = case.commands.run("ronna-procedure", "resume", folder, "--accept", "--json", timeout_s=LIMIT_S)
     assert done.returncode == 0, done.stderr
     after = case.journal[len(stopped) :]

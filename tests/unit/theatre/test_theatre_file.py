@@ -74,6 +74,22 @@ def test_the_file_of_another_arm_names_its_driver_its_addresses_and_its_model(
     assert robot.endpoints == addresses
 
 
+def test_a_force_that_an_arm_senses_by_itself_is_stated_with_an_error_that_a_scene_can_change() -> None:
+    scene = load_scene("mini", seed=4, dual=True, assistant_arm=ArmChoice.UR5E)
+    of_assistant = {"rtde": "tcp://127.0.0.9:30004", "dashboard": "tcp://127.0.0.9:29999"}
+    of_assistant["primary"] = "tcp://127.0.0.9:30001"
+    endpoints: dict[str, Any] = {**ENDPOINTS, "assistant": of_assistant}
+
+    def stated_N(scene: Scene) -> object:
+        file = parse_theatre(theatre_content(scene, endpoints, "host:", {}, 2.0))
+        return file.robot["assistant"].options["force_error_N"]
+
+    assert stated_N(scene) == 3.5
+    assert scene.assistant is not None
+    measured = scene.assistant.model_copy(update={"force_error_N": 0.8})
+    assert stated_N(scene.model_copy(update={"assistant": measured})) == 0.8
+
+
 def test_the_written_theatre_file_is_valid(tmp_path: Path) -> None:
     theatre = read_theatre_file(_written(draw_scene("mini", seed=4), tmp_path))
     assert theatre.banner
