@@ -7,7 +7,7 @@ a case asks of it: the size of the arm's errors, the places of the spheres, corr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -21,6 +21,7 @@ from procedures.registration.arm_adjustment import (
     best_influence,
 )
 from procedures.registration.arm_hypotheses import ACCEPTABLE, HYPOTHESES, Source, covariance_of
+from procedures.registration.moved_together import MovedTogether
 from procedures.registration.target_prediction import (
     AXES,
     IndependentErrors,
@@ -146,13 +147,28 @@ class ArmLearning:
             most_mm,
         )
 
-    def at_target(self, target_mm: Array, arm: Sequence[Source], others: Sequence[Source]) -> LearnedTarget:
+    def find_moved_together(self, rows: Mapping[str, Sequence[int]]) -> MovedTogether | None:
+        """Find two spheres that likely moved together; `rows` are the looks at each sphere, by its name."""
+        residuals = self.looks.residuals_mm.reshape(-1)
+        return MovedTogether.find(self.planned, residuals, self.probabilities, rows)
+
+    def at_target(
+        self,
+        target_mm: Array,
+        arm: Sequence[Source],
+        others: Sequence[Source],
+        moved: MovedTogether | None = None,
+    ) -> LearnedTarget:
         """Correct and predict a target (3,) mm, given by the pose that the residuals were taken from.
 
-        The sources are those of the looks, with what they displace at this target.
+        The sources are those of the looks, with what they displace at this target. Spheres that likely moved
+        add what that does to the target.
         """
         planned = PlannedTarget.of(self.looks.points_mm, target_mm, arm, others)
         residuals = self.looks.residuals_mm.reshape(1, -1)
         shifts, parts = planned.correct(residuals, self.judged.probabilities)
         by_source = {name: part[0] for name, part in parts.items()}
+        if moved is not None:
+            influence = np.einsum("h,hij->ij", self.probabilities, planned.influences)
+            by_source[moved.source] = moved.at_target(influence)
         return LearnedTarget(shifts[0], planned.predict(by_source, self.residual.widening))

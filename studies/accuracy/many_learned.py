@@ -51,11 +51,15 @@ class Judged:
         """Mark the arms (a,) whose residual is beyond its limit of this confidence."""
         return np.asarray(self.gated > chi_square_limit(self.freedom, confidence))
 
+    @property
+    def widening(self) -> Array:
+        """Factors (a,) on the limits: 1 unless the residual is too large."""
+        is_wide = self.chi_squares > chi_square_limit(self.freedom, WIDENED_BEYOND)
+        return np.where(is_wide, np.sqrt(self.chi_squares / self.freedom), 1.0)
+
     def limits_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> Array:
         """Return the limits (a, t) of the errors, widened where the residual is too large."""
-        is_wide = self.chi_squares > chi_square_limit(self.freedom, WIDENED_BEYOND)
-        widening = np.where(is_wide, np.sqrt(self.chi_squares / self.freedom), 1.0)
-        return widening[:, None] * error_limit_mm(self.covariances_mm2, confidence)
+        return self.widening[:, None] * error_limit_mm(self.covariances_mm2, confidence)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from procedures.registration.arm_hypotheses import Source, at_looks, share_by_sp
 from procedures.registration.arm_learning import ArmLearning, LearnedTarget, Looks
 from procedures.registration.error_theory import FreGate, chi_square_limit
 from procedures.registration.errors import CollinearPoints
+from procedures.registration.moved_together import MovedTogether
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import (
@@ -272,7 +273,7 @@ class LearnedPairs:
         )
 
     def predict(self, tip_mm: Array, sources: Sequence[Source]) -> LearnedTarget:
-        return self.learning.at_target(tip_mm, *self._split(sources))
+        return self.learning.at_target(tip_mm, *self._split(sources), self._moved_together)
 
     def learned(self, shifts_mm: Mapping[str, Array]) -> LearnedArm:
         """Return the size of the arm's errors, the spheres as it sees them, and the targets' corrections."""
@@ -284,6 +285,12 @@ class LearnedPairs:
             spheres_robot_mm=tuple(self.fit.physical_mm.tolist()),
             corrections_mm={name: tuple(shift.tolist()) for name, shift in shifts_mm.items()},
         )
+
+    @cached_property
+    def _moved_together(self) -> MovedTogether | None:
+        """Two spheres that moved alike, which the gate hardly sees."""
+        names = [str(fiducial + 1) for fiducial in self.fiducials]
+        return self.learning.find_moved_together(dict(zip(names, self._rows, strict=True)))
 
     @cached_property
     def _rows(self) -> list[list[int]]:

@@ -133,3 +133,21 @@ def test_two_spheres_that_moved_together_are_not_taken_for_a_third() -> None:
     some = pairs(np.random.default_rng(3), moved_mm=np.array([0.85, 0.85, 0.0]), moved=(0, 1))
     assert not some.gate.passed
     assert len(some.find_moved()) != 1
+
+
+def test_two_spheres_that_the_gate_lets_pass_are_named_in_the_budget_and_widen_the_limit() -> None:
+    quiet, moved = (
+        pairs(np.random.default_rng(3), moved_mm=moved_mm, moved=(0, 3))
+        for moved_mm in (None, np.array([0.08, -0.06, 0.05]))
+    )
+    assert moved.gate.passed
+    before, after = (
+        one.predict(
+            np.asarray(one.fit.transform.apply(TARGET_MM)), sources_at_target(one, np.eye(3))
+        ).prediction
+        for one in (quiet, moved)
+    )
+    named = "spheres 1 and 4 moved together"
+    assert set(after.budget_mm) - set(before.budget_mm) == {named}
+    assert 0.05 < after.budget_mm[named] < 0.5
+    assert after.limit_mm() > before.limit_mm() + after.budget_mm[named]
