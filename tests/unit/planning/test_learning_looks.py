@@ -1,4 +1,4 @@
-"""Looks of strategy `learning`: every sphere, no more than `ocs`, in short moves, only where the arm can go."""
+"""Looks of strategy `learning`: every sphere, no more than `ocs`, in short moves, where the arm can go."""
 
 from __future__ import annotations
 
