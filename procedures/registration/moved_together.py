@@ -50,7 +50,7 @@ class DisplacedPairs:
     @property
     def most_likely(self) -> NDArray[np.intp]:
         """Number (a,) of the most likely pair."""
-        return self.log_factors.argmax(axis=1)
+        return np.asarray(self.log_factors.argmax(axis=1))
 
     @property
     def shares(self) -> Array:
@@ -87,7 +87,7 @@ class PairTest:
         flat = columns.reshape(len(pairs), -1, AXES)
         seen = planned.weights @ flat[:, None]
         known = np.swapaxes(flat, 1, 2)[:, None] @ seen + np.eye(AXES) / DISPLACED_MM**2
-        spreads = np.linalg.slogdet(known)[1] + 2.0 * AXES * np.log(DISPLACED_MM)
+        spreads: Array = np.linalg.slogdet(known)[1] + 2.0 * AXES * np.log(DISPLACED_MM)
         return cls(pairs, flat, seen, np.linalg.inv(known), spreads)
 
     def judge(self, residuals_mm: Array, probabilities: Array) -> DisplacedPairs:
