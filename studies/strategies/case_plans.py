@@ -3,7 +3,7 @@
 A case has its looks first and its targets after them. Every strategy takes its looks in the order of the
 shortest next move, from home; a look takes the same time with each.
 
-Nothing is in the way here. Looks of `learning` are therefore chosen by `look_choice.choose_looks` as in a case,
+Nothing is in the way here. Looks of `learning` are chosen by `look_choice.choose_looks` as in a case,
 but without what `planning.learning_looks` asks of sight, approach and clearance, and with one time for each.
 """
 
