@@ -113,7 +113,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 {"system": system, "mean mm": mean_mm, "sd mm": sd_mm}
                 for system, (mean_mm, sd_mm) in NEUROMATE_IN_VITRO_MM.items()
             ],
-            "In vitro, as section 3.2 of the thesis cites them; the thesis' other systems are not known here.",
+            "In vitro, as section 3.2 of the thesis cites them; which others it names is not known here.",
         ),
         *protocol_tables(sums),
         Table.of(
