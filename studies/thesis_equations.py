@@ -6,7 +6,7 @@ the figure printed below the rows beside what the rows give.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,8 +104,8 @@ def _check_fits(random: np.random.Generator) -> Iterator[Check]:
         image = sites_mm(PATIENTS[number % len(PATIENTS)])
         motion = draw_pose(random)
         measured = motion.apply(image) + random.normal(size=image.shape) * NOISE_MM
-        for equation, difference in _compare_fit(image, np.asarray(motion.apply(image)), measured).items():
-            off.setdefault(equation, []).append(difference)
+        for check, difference in _compare_fit(image, np.asarray(motion.apply(image)), measured).items():
+            off.setdefault(check, []).append(difference)
     for (equation, gives, against, unit), differences in off.items():
         yield Check(equation, gives, against, max(differences), unit)
 
@@ -158,7 +158,7 @@ def _largest(differences: Array) -> float:
     return float(np.abs(differences).max())
 
 
-def printed_figures() -> list[Mapping[str, Cell]]:
+def printed_figures() -> list[dict[str, Cell]]:
     """Return each figure printed below the rows of tables 2 to 4 beside what the rows give."""
     between = "eq. 37 and 38 of the FRE"
     rows = [
@@ -191,7 +191,7 @@ def _row(table: str, column: str, by: str, printed: ThesisColumn, from_rows_mm: 
 
 def tables(seed: int = 0) -> list[Table]:
     """Tabulate the equations, the figures below the tables' rows, and the gains of 5.1."""
-    checks = [
+    checks: list[dict[str, Cell]] = [
         {
             "equation": one.equation,
             "gives": one.gives,

@@ -24,7 +24,7 @@ def test_figures_below_the_rows_follow_from_them_but_for_two_of_table_3() -> Non
     off = {
         (row["table"], row["column"]): row["differs by mm"]
         for row in printed_figures()
-        if abs(float(row["differs by mm"])) > 0.7 * LAST_DIGIT_MM[str(row["table"])]  # rows are rounded too
+        if abs(float(str(row["differs by mm"]))) > 0.7 * LAST_DIGIT_MM[str(row["table"])]  # rows are rounded
     }
     assert off == {
         ("3", "operator 3"): pytest.approx(-0.00008, abs=1e-5),
