@@ -32,6 +32,7 @@ from studies.ronna_g3 import (
     run_protocol,
 )
 from studies.ronna_g3 import tables as protocol_tables
+from studies.thesis_tables import NEUROMATE_IN_VITRO_MM
 
 Series = tuple[str, str, str, int]  # depth, markers, strategy, number of spheres
 
@@ -106,6 +107,14 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             }
         )
     return [
+        Table.of(
+            "Other systems",
+            [
+                {"system": system, "mean mm": mean_mm, "sd mm": sd_mm}
+                for system, (mean_mm, sd_mm) in NEUROMATE_IN_VITRO_MM.items()
+            ],
+            "In vitro, as section 3.2 of the thesis cites them; which others it names is not known here.",
+        ),
         *protocol_tables(sums),
         Table.of(
             "Application error by depth",

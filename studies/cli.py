@@ -618,6 +618,27 @@ def figures(
 
 
 @app.command()
+def equations(
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")] = 0,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="New or existing folder for the tables.")
+    ] = Path("campaigns/equations"),
+    as_json: terminal.JsonOption = False,
+) -> None:
+    """Evaluate the thesis' equations, and the figures printed below its tables, by other ways to the same."""
+    from studies.campaign.folder import publish
+    from studies.thesis_equations import tables
+
+    require_output_folder(out)
+    out.mkdir(parents=True, exist_ok=True)
+    found = tables(seed)
+    report = publish(out, "equations", {"seed": seed}, found, {})
+    _print_tables(found, {"report": str(report)}, as_json=as_json)
+    if not as_json:
+        terminal.tell(f"report: {report}")
+
+
+@app.command()
 def times(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
     as_json: terminal.JsonOption = False,

@@ -1,4 +1,4 @@
-"""Tables 2, 3 and 4 of F. Šuligoj's thesis (Zagreb 2018), row by row, in mm, as printed.
+"""Tables 2, 3 and 4 of F. Šuligoj's thesis (Zagreb 2018), row by row, in mm, as printed; figures of 3.2.
 
 Table 2 contains the localization errors against the truth, table 3 the residuals of ten registrations between
 scans of four fiducials. Table 4 contains the mean errors at the target over eight positions of the phantom.
@@ -92,4 +92,9 @@ TABLE_4: Mapping[tuple[str, int], StrategyRow] = {  # by strategy and number of 
     ("JDMS", 5): StrategyRow(
         (0.254, 0.247, 0.575, 0.151, 0.323, 0.310, 0.517, 0.372, 0.393, 0.548), 0.369, 0.160, 0.691, 0.016
     ),
+}
+
+NEUROMATE_IN_VITRO_MM: Mapping[str, tuple[float, float]] = {  # mean and sd at the target, as 3.2 cites them
+    "Neuromate, with a frame": (0.86, 0.32),
+    "Neuromate, frameless": (1.95, 0.44),
 }

@@ -112,11 +112,12 @@ def test_a_layout_of_two_points_is_refused_before_the_series_is_read(tmp_path):
     assert "CT-018: lay.csv is not a layout; expected at least 3 points, got 2" in done.stderr
 
 
-def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> None:
-    done = ronna_ct("localize", series, "--method", "thesis-sphere", "--expected", 2)
+@pytest.mark.parametrize("method", ["thesis-line", "thesis-sphere"])
+def test_the_thesis_methods_can_be_chosen_but_refine_no_picks(series: Path, method: str) -> None:
+    done = ronna_ct("localize", series, "--method", method, "--expected", 2)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.count("covariance_assumed") == 2
-    refused = ronna_ct("localize", series, "--method", "thesis-line", "--pick", "any.csv")
+    refused = ronna_ct("localize", series, "--method", method, "--pick", "any.csv")
     assert refused.returncode == 2
     assert "Omit --method" in refused.stderr
 

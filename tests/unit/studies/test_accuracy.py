@@ -201,9 +201,10 @@ def test_a_phantom_out_of_reach_is_refused() -> None:
 @pytest.mark.slow
 def test_published_ronna_g3_errors_are_shown_next_to_their_own_markers_and_strategy() -> None:
     study = ApplicationErrorStudy(arms=1)
-    *by_place, table, effects, sizes, fitted = application_error.tables(
+    others, *by_place, table, effects, sizes, fitted = application_error.tables(
         {unit.condition: study.run(unit) for unit in study.units() if unit.condition.endswith("|5")}
     )
+    assert [row[1:] for row in others.rows] == [(0.86, 0.32), (1.95, 0.44)]
     assert len(effects.rows) == 2 * 3 * 2
     assert [row[-1] for row in sizes.rows].count("fitted") == 2
     assert [row[0] for row in fitted.rows] == ["pooled", "free", "xframe"]
