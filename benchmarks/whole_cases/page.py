@@ -18,7 +18,7 @@ FIGURES_FILE = Path("docs/reference/figures/whole-cases.toml")
 BEGIN, END = "<!-- written by python -m benchmarks.whole_cases: do not edit -->", "<!-- written so far -->"
 COLUMNS = (
     "| {} | cases | refused | targets | mean, largest mm | within the limit "
-    "| minus `ocs`, mm | better at | looks | theatre s |"
+    "| minus `ocs`, mm | better at | image pairs | theatre s |"
 )
 CAPTIONS = {
     "uncalibrated": "uncalibrated arm",

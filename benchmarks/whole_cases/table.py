@@ -15,7 +15,7 @@ from benchmarks.whole_cases.conditions import COMPARED_WITH
 CONFIDENCE = 0.95  # of the interval of a coverage
 HEADER = (
     "| cases of | strategy | cases | refused | again | targets | mean mm | largest mm | predicted, rms mm "
-    "| within the 95 % limit | looks | theatre s |"
+    "| within the 95 % limit | image pairs | theatre s |"
 )
 PAIRED_HEADER = (
     f"| cases of | strategy minus `{COMPARED_WITH}` | targets | mean mm | better | sign p | Wilcoxon p "

@@ -16,6 +16,7 @@ from types import ModuleType
 from api_pages import devices, numerics, runs
 from command_table import command_table, option_table
 from hazard_matrix import hazard_table
+from kept_tables import write_pages
 from model_tables import model_tables
 from reference_tables import (
     REFERENCE,
@@ -305,3 +306,4 @@ if __name__ == "__main__":
     for name, content in tables().items():
         path = REFERENCE / name
         path.write_text(with_table(path.read_text(encoding="utf-8"), content), encoding="utf-8")
+    write_pages()

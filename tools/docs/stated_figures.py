@@ -63,7 +63,7 @@ def read_figures(root: Path = ROOT) -> list[StatedFigure]:
         StatedFigure(**{**entry, "values": tuple(entry["values"])})
         for path in sorted((root / FOLDER).glob("*.toml"))
         if path.name != EXCEPTIONS
-        for entry in tomllib.loads(path.read_text(encoding="utf-8"))["figure"]
+        for entry in tomllib.loads(path.read_text(encoding="utf-8")).get("figure", ())
     ]
 
 

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from kept_tables import KeptTable, find_block, read_tables
 from stated_figures import (
     COVERED_PAGES,
     FigureMismatch,
@@ -19,19 +20,26 @@ from stated_figures import (
 )
 
 FIGURES = read_figures()
+KEPT_TABLES = read_tables()
 UNKEPT = [*read_unkept("exception"), *read_unkept("pending")]
 
 
 def stated_on(page: str, but: UnkeptFigure | None = None) -> list[str]:
     """Words of all entries of a page, but for one."""
     entries: list[StatedFigure | UnkeptFigure] = [*FIGURES, *UNKEPT]
-    return [one.states for one in entries if one.page == page and one is not but]
+    rows = [row for table in KEPT_TABLES if table.page == page for row in table.write().splitlines()]
+    return [one.states for one in entries if one.page == page and one is not but] + rows
 
 
 @pytest.mark.parametrize("figure", FIGURES, ids=[f"{one.page}: {one.states[:40]}" for one in FIGURES])
 def test_a_stated_figure_is_that_of_its_kept_result(figure: StatedFigure) -> None:
     compare(figure)
     assert figure.command
+
+
+@pytest.mark.parametrize("table", KEPT_TABLES, ids=[one.name for one in KEPT_TABLES])
+def test_a_table_of_kept_results_is_as_its_command_writes_it(table: KeptTable) -> None:
+    assert find_block(table) == table.write(), "run make docs"
 
 
 @pytest.mark.parametrize("page", COVERED_PAGES)
@@ -114,3 +122,24 @@ def test_decimals_and_figures_with_a_unit_need_a_result_but_labels_code_and_head
     )
     assert len(uncovered("page.md", [], tmp_path)) == 3
     assert len(uncovered("page.md", ["0.18 mm, 95 %"], tmp_path)) == 1
+
+
+def test_a_table_takes_each_row_from_its_own_row_of_the_kept_file(tmp_path: Path) -> None:
+    (tmp_path / "docs/reference/figures").mkdir(parents=True)
+    (tmp_path / "x.csv").write_text("strategy,arm,mean mm\nocs,kr6,0.18\njdms,kr6,0.27\nocs,ur5,0.3\n")
+    (tmp_path / "docs/reference/figures/x.toml").write_text(
+        '[[table]]\npage = "page.md"\nname = "means"\ncommand = "x"\nheader = "| | mean mm |"\n'
+        '[table.sources.x]\nkept = "x.csv"\nrows = "strategy={strategy}"\n'
+        '[[table.rows]]\nform = "| `{strategy}` | {:.1f} |"\nfigures = ["x;arm=kr6:mean mm"]\n'
+        'each = [{ strategy = "ocs" }, { strategy = "jdms" }]\n'
+    )
+    [table] = read_tables(tmp_path)
+    begin, end = table.marks
+    assert table.write(tmp_path).splitlines()[2:-2] == [
+        "| | mean mm |",
+        "|---|---|",
+        "| `ocs` | 0.2 |",
+        "| `jdms` | 0.3 |",
+    ]
+    (tmp_path / "page.md").write_text(f"Before\n{begin}\nold\n{end}\nafter")
+    assert find_block(table, tmp_path) == f"{begin}\nold\n{end}"
