@@ -315,6 +315,7 @@ def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / str(json.loads(printed)["run"])
 
 
+@pytest.mark.timeout(HANGS_S)
 @pytest.mark.parametrize("command", OF_A_RUN)
 def test_a_command_about_a_run_prints_what_its_row_says(
     command: str, finished_run: Path, tmp_path: Path
