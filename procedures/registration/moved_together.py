@@ -26,6 +26,7 @@ from procedures.registration.target_prediction import AXES
 from ronna_hw.arrays import Array
 
 DISPLACED_MM = 0.5  # per axis, one standard deviation of a displacement in common (U)
+# Bayes factor beyond which the limit is widened: a larger one leaves more displacements unnoticed.
 # Safety against two spheres that moved together. Source: simulated arms.
 LEAST_FACTOR = 100.0
 
@@ -88,7 +89,7 @@ class PairTest:
         seen = planned.weights @ flat[:, None]
         known = np.swapaxes(flat, 1, 2)[:, None] @ seen + np.eye(AXES) / DISPLACED_MM**2
         spreads: Array = np.linalg.slogdet(known)[1] + 2.0 * AXES * np.log(DISPLACED_MM)
-        return cls(pairs, flat, seen, np.linalg.inv(known), spreads)
+        return cls(pairs, flat, seen, np.asarray(np.linalg.inv(known), dtype=np.float64), spreads)
 
     def judge(self, residuals_mm: Array, probabilities: Array) -> DisplacedPairs:
         """Judge residuals (a, 3m) of arms whose hypotheses have these probabilities (a, h)."""
