@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import select
 import socket
 import struct
@@ -38,6 +37,7 @@ from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.network import own_address
 from ronna_hw.vectors import JointVector, joint_vector
 from ronna_hw.wire.universal_robots import (
     RTDE_PORT,
@@ -69,12 +69,6 @@ STAMP_SPACE_BYTES = socket.CMSG_SPACE(TIMESPEC.size)
 _FIRST_INPUT = RECIPE_ID + 1  # in an unpacked set-point
 _SEQUENCE, _RUN = (_FIRST_INPUT + INPUT_FIELDS.index(name) for name in (SEQUENCE_INPUT, RUN_INPUT))
 _SET_POINT = tuple(_FIRST_INPUT + INPUT_FIELDS.index(name) for name in SET_POINT_INPUTS)
-
-
-def own_address(number: int) -> str:
-    """Return a loopback address that no other process uses: from its process number, at most 22 bits."""
-    process = os.getpid()
-    return f"127.{64 * (number + 1) + (process >> 16)}.{process >> 8 & 255}.{process & 255}"
 
 
 def resting_values() -> list[float]:

@@ -36,10 +36,10 @@ NO_REGISTRATION = ErrorCode(
 
 
 class NoSuchLook(DataError, IndexError):
-    """The run has fewer looks of the stereo head."""
+    """The run has fewer image pairs of the stereo head."""
 
     code = "EXC-006"
-    action = "len(run.pictures) counts them; the row of a look in run.looks is its place."
+    action = "len(run.pictures) counts them; the row of a pair in run.looks is its place."
 
 
 OTHER_CT = ErrorCode(

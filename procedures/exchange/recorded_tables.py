@@ -83,7 +83,7 @@ class RecordedPictures(Sequence[StereoPictures]):
     @overload
     def __getitem__(self, index: slice) -> RecordedPictures: ...
     def __getitem__(self, index: int | slice) -> StereoPictures | RecordedPictures:
-        """Return the pictures of one look, or of several.
+        """Return the pictures of one image pair, or of several.
 
         Raises ARG-001 for what is no number, EXC-006, and PRO-024 for damaged pixels.
         """

@@ -6,9 +6,7 @@ deformations) in SimpleITK, in one thread, with a fixed seed: equal series give 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +15,7 @@ from scipy import ndimage
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.fusion.errors import FUSION_MISSING, NothingToFuse
+from procedures.imaging.pose_starts import list_turned_starts
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arrays import Array, Mask
 
@@ -32,7 +31,7 @@ AROUND_MM = 5.0  # beyond the skin: its edge counts
 LEAST_VOXELS = 1500  # at 6 mm: 0.3 litres, a quarter of a small head
 BINS = 50
 SEED = 1
-START_TURNS_RAD = (0.0, *(np.radians(turn) for turn in (-20.0, 20.0)))  # tried about each axis
+START_TURN_RAD = float(np.radians(20.0))  # tried either way about each axis
 FIRST_STEP_MM = {COARSE_MM: 4.0, MIDDLE_MM: 1.0, FINE_MM: 0.5}
 LAST_STEP_MM = {COARSE_MM: 0.3, MIDDLE_MM: 0.05, FINE_MM: 0.02}
 MOST_ROUNDS, MOST_LINE_STEPS = 20, 15
@@ -77,7 +76,7 @@ def search_starts(level: Level) -> tuple[Optimum, ...]:
     """Register from several turns about the middle of both heads; the best optimum is first."""
     middle = level.geometry.to_patient_mm(np.argwhere(level.head)).mean(axis=0)
     there = _find_middle(level.other)
-    found = [_try_start(level, start) for start in _list_starts(middle, there)]
+    found = [_try_start(level, start) for start in list_turned_starts(middle, there, START_TURN_RAD)]
     return tuple(sorted(found, key=lambda one: -one.information))
 
 
@@ -162,13 +161,6 @@ def require_simple_itk() -> Any:
     except ImportError:
         raise FUSION_MISSING("the fusion of two series needs SimpleITK") from None
     return sitk
-
-
-def _list_starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
-    for turns in product(START_TURNS_RAD, repeat=3):
-        if np.count_nonzero(turns) < 2:
-            rotation = Rotation.from_rotvec(turns)
-            yield RigidTransform.from_components(there - rotation.apply(middle), rotation)
 
 
 def _thin(

@@ -34,6 +34,7 @@ from procedures.fusion.mutual_information import (
     search_starts,
 )
 from procedures.fusion.record import FusedPose, Fusion, LandmarkCheck, expect_errors_mm
+from procedures.imaging.pose_starts import measure_apart_mm
 from procedures.imaging.volume import Volume
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.text import format_against_limit
@@ -137,7 +138,7 @@ def check_landmarks(whole: FusedPose, ct_mm: ArrayLike, other_mm: ArrayLike) -> 
 def _require_one_optimum(starts: Sequence[Optimum], inner_mm: Array) -> int:
     """Return how many starts led to the best optimum. Raises FUS-004."""
     best = starts[0]
-    apart_mm = [_apart_mm(best.other_from_ct, one.other_from_ct, inner_mm) for one in starts]
+    apart_mm = [measure_apart_mm(best.other_from_ct, one.other_from_ct, inner_mm) for one in starts]
     agreeing = sum(apart <= SAME_OPTIMUM_MM for apart in apart_mm)
     rivals = [
         apart
@@ -156,10 +157,6 @@ def _require_one_optimum(starts: Sequence[Optimum], inner_mm: Array) -> int:
             got=str(agreeing),
         )
     return agreeing
-
-
-def _apart_mm(one: RigidTransform, other: RigidTransform, points_mm: Array) -> float:
-    return float(np.sqrt(np.square(one.apply(points_mm) - other.apply(points_mm)).sum(axis=1).mean()))
 
 
 def _inner_points(level: Level) -> Array:

@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from procedures.imaging.pose_starts import measure_apart_mm
 from procedures.imaging.volume import OUTSIDE_FIELD_HU, Volume
 from procedures.intraoperative.errors import OTHER_HEAD
 from procedures.intraoperative.starts import list_starts
@@ -27,6 +28,7 @@ from procedures.postoperative.bone_registration import (
     rate_on_bone,
     refine_on_bone,
 )
+from procedures.registration.rigid_fit import pose_jacobian
 from ronna_hw.arrays import Array
 
 POINTS_OF_START = 1_500
@@ -57,18 +59,9 @@ class PoseEstimate:
     middle_mm: Array
     covariance: Array
 
-    def displacements(self, points_mm: Array) -> Array:
-        """Return the derivatives (n, 3, 6) of points (n, 3) mm of the CT by rotation and shift."""
-        arms = np.asarray(points_mm, dtype=float).reshape(-1, 3) - self.middle_mm
-        found = np.zeros((len(arms), 3, 6))
-        for axis, unit in enumerate(np.eye(3)):
-            found[:, :, axis] = np.cross(unit, arms)
-            found[:, axis, 3 + axis] = 1.0
-        return found
-
     def covariances_mm2(self, points_mm: Array) -> Array:
         """Return the covariance (n, 3, 3) mm2 of points (n, 3) mm that the pose carries into the CT."""
-        by_pose = self.displacements(points_mm)
+        by_pose = pose_jacobian(points_mm, self.middle_mm)
         return np.asarray(by_pose @ self.covariance @ by_pose.transpose(0, 2, 1))
 
     def moved(self, step: Array, covariance: Array) -> PoseEstimate:
@@ -111,7 +104,7 @@ def register_bone(
             found = refine_on_bone(points, values, splined, found, rescaled=True)
         progress((number + 1) / (len(LEVELS_MM) + 1))
     agreement = rate_on_bone(points, values, splined, found)[0]
-    apart_mm = [_apart_mm(ends[0][1], one, points) for _, one in ends]
+    apart_mm = [measure_apart_mm(ends[0][1], one, points) for _, one in ends]
     agreeing = sum(apart <= SAME_POSE_MM for apart in apart_mm)
     if agreeing < FEWEST_AGREEING:
         raise OTHER_HEAD(
@@ -179,7 +172,3 @@ def _require_one_skull(agreement: float, overlap: float) -> None:
             expected=f"agreement of at least {LEAST_AGREEMENT:g} over at least {LEAST_OVERLAP:.0%} of it",
             got=f"{agreement:.2f} over {overlap:.0%}",
         )
-
-
-def _apart_mm(one: RigidTransform, other: RigidTransform, points_mm: Array) -> float:
-    return float(np.sqrt(np.square(one.apply(points_mm) - other.apply(points_mm)).sum(axis=1).mean()))

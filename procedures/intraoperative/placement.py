@@ -18,6 +18,7 @@ from procedures.intraoperative.errors import BoneUncertain, SpheresContradict
 from procedures.registration import register
 from procedures.registration.error_theory import chi_square_limit, degrees_of_freedom
 from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.rigid_fit import pose_jacobian
 from ronna_hw.arrays import Array
 from ronna_hw.text import format_against_limit
 
@@ -126,7 +127,7 @@ class _Pairs:
         """Return step (6,), its covariance and chi square of the adjustment to bone and these pairs."""
         kept = list(kept)
         information = np.linalg.inv(self.bone.covariance)
-        by_pose = self.bone.displacements(self.places_mm)[kept]
+        by_pose = pose_jacobian(self.places_mm, self.bone.middle_mm)[kept]
         weights = np.linalg.inv(self.own_mm2[kept])
         off_mm = (self.ct_mm - self.places_mm)[kept]
         normal = information + np.einsum("nij,nik,nkl->jl", by_pose, weights, by_pose)
@@ -145,7 +146,7 @@ class _Pairs:
     def distance(self, one: int, kept: Sequence[int]) -> float:
         """Return the chi square of one pair against the adjustment to the bone and the other `kept`."""
         step, covariance, _ = self.adjust([other for other in kept if other != one])
-        by_pose = self.bone.displacements(self.places_mm[one])[0]
+        by_pose = pose_jacobian(self.places_mm[one], self.bone.middle_mm)
         off_mm = self.ct_mm[one] - self.places_mm[one] - by_pose @ step
         return float(off_mm @ np.linalg.solve(self.own_mm2[one] + by_pose @ covariance @ by_pose.T, off_mm))
 

@@ -6,15 +6,14 @@ have little weight; remaining outliers are down-weighted (Cauchy).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from procedures.imaging.pose_starts import list_turned_starts
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.postoperative.errors import HEADS_DIFFER, NO_BONE
 from ronna_hw.arrays import Array, Mask
@@ -27,7 +26,7 @@ LEVELS_MM = (4.0, 2.0, 1.0)  # point spacing, twice the standard deviation of th
 MOST_POINTS = 40_000
 MOST_STEPS = 30
 STILL_MM, STILL_RAD = 1e-3, 1e-5  # a smaller step changes nothing measurable
-START_TURNS_RAD = (0.0, *(np.radians(turn) for turn in (-25.0, 25.0)))  # tried about each axis
+START_TURN_RAD = float(np.radians(25.0))  # tried either way about each axis
 LEAST_POINTS = 1_000  # of bone at the coarsest level; a skull has ten times as many
 LEAST_AGREEMENT = 0.9  # correlation of two scans of the same skull
 LEAST_OVERLAP = 0.6  # share of the bone that both scans show
@@ -81,7 +80,7 @@ def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
             few = slice(None, None, max(1, len(points) // LEAST_POINTS))
             tried = [
                 refine_on_bone(points[few], values[few], target, start)
-                for start in _list_starts(middle, there)
+                for start in list_turned_starts(middle, there, START_TURN_RAD)
             ]
             found = max(tried, key=lambda one: rate_on_bone(points, values, target, one)[0])
             _require_one_skull(*rate_on_bone(points, values, target, found)[:2])
@@ -143,13 +142,6 @@ def find_bone_points(level: BoneLevel, spacing_mm: float) -> tuple[Array, Array]
         raise NO_BONE("the CT shows no skull", got=f"{sizes.max(initial=0)} voxels of bone in one piece")
     index = index[:: max(1, len(index) // MOST_POINTS)]
     return level.geometry.to_patient_mm(index), level.values[tuple(index.T)].astype(float)
-
-
-def _list_starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
-    for turns in product(START_TURNS_RAD, repeat=3):
-        if np.count_nonzero(turns) < 2:
-            rotation = Rotation.from_rotvec(turns)
-            yield RigidTransform.from_components(there - rotation.apply(middle), rotation)
 
 
 def refine_on_bone(

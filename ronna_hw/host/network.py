@@ -63,7 +63,7 @@ FIRST_PORT = 20_000  # below the ports that the kernel assigns itself, which sta
 
 
 def own_address(number: int = 0) -> str:
-    """Return a loopback address unique among running processes and per `number`, 0 or 1.
+    """Return a loopback address unique among running processes and per `number`, 0 to 2.
 
     No race for free ports: the process id, at most 22 bits, determines it, and Linux answers on all of
     127.0.0.0/8.

@@ -16,14 +16,13 @@ import psutil
 import pytest
 from good_inputs import CONTROLLER_COMMANDS, CONTROLLER_REQUESTS
 from hostile_clients import camera_commands, loading, maltreat, with_right_checksum, write_register
-from ur_clients import own_address
 from ur_mutants import LINES, RTDE, SCRIPTS
 from waiting import eventually
 
 from ronna_hw.control_port import ControlAddress, ask_control_port
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.network import own_udp_endpoint
+from ronna_hw.host.network import own_address, own_udp_endpoint
 from ronna_hw.wire.gige_vision import CCP_CONTROL, CCP_OPEN, GVCP_PORT, Bootstrap
 from ronna_hw.wire.polaris_rom import MARKER_FACES_OFFSET
 from sim.basler.control.feature_table import address_of

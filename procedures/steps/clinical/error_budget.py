@@ -159,39 +159,34 @@ def arm_errors(
     context: StepContext, looks: Sequence[LocalizationPose], spheres_mm: Array, target: str, held: HeldGuide
 ) -> tuple[target_prediction.SharedErrors | target_prediction.IndependentErrors, ...]:
     """Return the arm's errors at planned looks at spheres (n, 3) mm, robot frame, and at a target."""
-    paths = context.result(CheckedPaths)
-    signs = [arriving(context, paths, one) for one in looks]
-    known = [one for one in signs if one is not None]
-    return arm_sources(
-        context.workcell.master.arm.kinematics.chain,
-        ArmPoses(
-            np.array([one.joints_rad for one in looks]),
-            spheres_mm,
-            np.array(known, dtype=float) if len(known) == len(looks) else None,
-        ),
-        ArmPoses(
-            np.array([held.joints_rad]),
-            held.tip_mm[None],
-            np.array([paths.targets[target].sides], dtype=float),
-        ),
-        ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm),
-        servo_mm=0.0,
-    )
+    sides = context.result(CheckedPaths).targets[target].sides
+    at_target = ArmPoses(np.array([held.joints_rad]), held.tip_mm[None], np.array([sides], dtype=float))
+    return _stated_errors(context, _poses_of(context, looks, spheres_mm), at_target)
 
 
 def errors_at_looks(
     context: StepContext, looks: Sequence[LocalizationPose], spheres_mm: Array
 ) -> tuple[target_prediction.SharedErrors | target_prediction.IndependentErrors, ...]:
     """Return the arm's errors at planned looks at spheres (n, 3) mm, robot frame, whatever the target."""
-    signs = np.array([arriving(context, context.result(CheckedPaths), one) for one in looks], dtype=float)
-    joints = np.array([one.joints_rad for one in looks])
-    return arm_sources(
-        context.workcell.master.arm.kinematics.chain,
-        ArmPoses(joints, spheres_mm, signs),
-        ArmPoses(joints[:1], spheres_mm[:1], signs[:1]),
-        ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm),
-        servo_mm=0.0,
-    )
+    anywhere = _poses_of(context, looks[:1], spheres_mm[:1])
+    return _stated_errors(context, _poses_of(context, looks, spheres_mm), anywhere)
+
+
+def _poses_of(context: StepContext, looks: Sequence[LocalizationPose], spheres_mm: Array) -> ArmPoses:
+    """Return the poses of looks, with the sides on which the joints arrive if all are known."""
+    paths = context.result(CheckedPaths)
+    signs = [arriving(context, paths, one) for one in looks]
+    known = [one for one in signs if one is not None]
+    sides = np.array(known, dtype=float) if len(known) == len(looks) else None
+    return ArmPoses(np.array([one.joints_rad for one in looks]), spheres_mm, sides)
+
+
+def _stated_errors(
+    context: StepContext, at_spheres: ArmPoses, at_target: ArmPoses
+) -> tuple[target_prediction.SharedErrors | target_prediction.IndependentErrors, ...]:
+    chain = context.workcell.master.arm.kinematics.chain
+    sizes = ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm)
+    return arm_sources(chain, at_spheres, at_target, sizes, servo_mm=0.0)
 
 
 def unknown_sides_mm2(context: StepContext, looks: Sequence[LocalizationPose], spheres_mm: Array) -> Array:

@@ -52,6 +52,7 @@ from procedures.operator.question import Question, Task, Topic
 from procedures.planning.target_error import scan_errors
 from procedures.registration.error_sources import SCAN_PLACE
 from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -167,7 +168,7 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan", vers
         """Return the error of the scan's place in the CT, which carries all spheres along."""
         pose = estimate_of(self)
         sizes = np.linalg.cholesky(pose.covariance)
-        there_mm = rotation @ pose.displacements(np.array(target_mm))[0] @ sizes
+        there_mm = rotation @ pose_jacobian(np.array(target_mm), pose.middle_mm) @ sizes
         return (SharedErrors(SCAN_PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
 
 

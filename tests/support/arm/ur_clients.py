@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import struct
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ from typing import NamedTuple
 
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.network import own_address
 from ronna_hw.wire.universal_robots import ScriptState
 
 LIMIT_S = 30.0
@@ -58,12 +58,6 @@ class State(NamedTuple):
 
 def script(cycle_s: float = 0.002, starved: int = 10) -> str:
     return SCRIPT.format(cycle_s=cycle_s, starved=starved)
-
-
-def own_address(number: int = 0) -> str:
-    """A loopback address that no other process uses: its process number, at most 22 bits. Three for each."""
-    process = os.getpid()
-    return f"127.{64 * (number + 1) + (process >> 16)}.{process >> 8 & 255}.{process & 255}"
 
 
 def package(kind: str, payload: bytes = b"") -> bytes:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import pytest
-from ur_clients import own_address
 
+from ronna_hw.host.network import own_address
 from sim.universal_robots.connections import Poll
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import ControllerParameters

@@ -7,8 +7,9 @@ import struct
 from collections.abc import Callable, Iterator
 
 import pytest
-from ur_clients import own_address, script
+from ur_clients import script
 
+from ronna_hw.host.network import own_address
 from ronna_hw.wire.universal_robots import SafetyMode
 from sim.universal_robots.connections import Poll
 from sim.universal_robots.controller import Controller

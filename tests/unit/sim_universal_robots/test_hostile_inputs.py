@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
-from ur_clients import own_address
 from ur_mutants import COMMANDS, LINES, RTDE, SCRIPTS, SET_POINTS, mutants
 
 from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.network import own_address
 from ronna_hw.wire.universal_robots import DASHBOARD_PORT, SCRIPT_NAME
 from sim.universal_robots import connections
 from sim.universal_robots.connections import Handler, HangUp, Poll

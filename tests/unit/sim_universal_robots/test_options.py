@@ -8,8 +8,8 @@ from ipaddress import IPv4Address
 
 import pytest
 from coded_errors import raises
-from ur_clients import own_address
 
+from ronna_hw.host.network import own_address
 from sim.errors import EndpointTaken
 from sim.universal_robots.command import require_loopback
 from sim.universal_robots.connections import Poll, ServiceListener
