@@ -89,7 +89,7 @@ class UnusedSphere(Values):
     reason: str = Field(description="Why it is not used.")
 
 
-class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
+class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan", version=2):
     """Spheres found in a scan of the clamped head, in the coordinates of the planning CT.
 
     A sphere of the CT that it does not show keeps its index and its place in the CT, and is not measured.

@@ -28,6 +28,7 @@ WEIGHT_N = WEIGHT_KG * GRAVITY_M_S2
 # Safety against a force sensor of a wrong scale (U).
 WRONG_BY_N = 1.0  # two standard errors of a change of the force of a sensor that is good enough to drill by
 LEAST_UPRIGHT = math.cos(math.radians(30.0))  # of the drill's axis: the share of the weight along it
+
 STILL_S = 2.0  # for the weight to stop swinging, and the force to be smoothed
 TURN_STEP_RAD = math.radians(30.0)
 TURNS = range(-5, 7)  # by those steps, of the last two joints

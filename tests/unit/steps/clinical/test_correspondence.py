@@ -18,6 +18,7 @@ from clinical_case import (
 from coded_errors import raises
 from prepared_results import checked_plan, global_localization, localized_fiducials
 from recording_cell import RecordingOperator
+from scanned_head import scanned_spheres
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
@@ -29,6 +30,7 @@ from procedures.planning.plan_model import FiducialKind, PatientPosition
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import NO_UNIQUE_MATCH, HeadElsewhere
 from procedures.registration.room_prior import READING_LIMIT_MM, Landmark, choose_landmark
+from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical import correspondence
 from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, coarse_match, room_prior
 from procedures.steps.clinical.correspondence import READ_AGAIN, STEP, Correspondence
@@ -64,6 +66,24 @@ def test_spheres_are_paired_regardless_of_the_order_in_which_the_tracker_saw_the
     assert (found.matcher, found.e_mm, found.refused_share) == (Matcher.OURS, None, None)
     parents = {name.partition("-")[2] for name in stored.record.parents}
     assert parents == {"fiducial_localization", "global_localization", "plan_check"}
+
+
+def test_a_sphere_that_a_scan_does_not_show_is_not_paired_and_the_others_keep_their_numbers(
+    cell: ClinicalCell,
+) -> None:
+    before, made = localized_fiducials(), scanned_spheres()
+    shown = tuple(
+        one.model_copy(update={"fiducial": index})
+        for one, index in zip(made.spheres[1:], (0, 2, 3), strict=True)
+    )
+    scan = made.model_copy(update={"markers": before.markers, "spheres": shown})
+    steps = {step.name: step for step in clinical_steps(intraoperative=True)}
+    stored = cell.run(scan, global_localization(SPHERES_MM), checked_plan(), steps["correspondence"])
+    found = stored.result
+    assert isinstance(found, Correspondence)
+    assert sorted(found.pairs) == [(0, 0), (2, 2), (3, 3)]  # the tracker sees the other as well
+    assert found.two_way.unmatched_ct == (1,)
+    assert found.two_way.unmatched_room == (("tracker", 1),)
 
 
 def implanted_by(template_mm: Array) -> CheckedPlan:

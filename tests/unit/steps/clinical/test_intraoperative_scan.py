@@ -34,6 +34,7 @@ from procedures.steps.clinical.intraoperative_scan import (
     PLACE,
     STEP,
     IntraoperativeSpheres,
+    _record,
     find_unused,
     localize_whole,
     number_spheres,
@@ -190,6 +191,26 @@ def test_a_sphere_keeps_its_number_of_the_ct_and_a_new_one_comes_after_those() -
     pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), np.eye(6))
     placed = PlacedScan(pose, (SpherePair(0, 3, 0.1, True), SpherePair(2, 0, 0.1, True)))
     assert number_spheres(placed, shown=4, in_ct=4) == (4, 5, 1, 6)
+
+
+def test_the_record_has_each_sphere_at_its_index_of_the_ct_and_places_of_the_ct_where_none_is_shown() -> None:
+    before = localized_fiducials()
+    in_ct = before.markers
+    new = in_ct[0].model_copy(update={"centre_mm": (1.0, 2.0, 3.0)})
+    x_mm, y_mm, z_mm = in_ct[0].centre_mm
+    moved = in_ct[0].model_copy(update={"centre_mm": (x_mm + 1.0, y_mm, z_mm)})
+    found = Localization((in_ct[3], new, moved), (), "1.2.9", "1.2.10", 11.5)
+    pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), 1e-4 * np.eye(6))
+    placed = PlacedScan(pose, (SpherePair(0, 3, 0.0, True), SpherePair(2, 0, 1.0, False)))
+    bone = BonePose(pose, 0.9, 6, 6)
+    result = _record(before, found, "0" * 64, bone, placed, checked_plan(), ())
+    assert [one.centre_mm for one in result.markers] == [
+        moved.centre_mm,
+        *(one.centre_mm for one in in_ct[1:]),
+        new.centre_mm,
+    ]
+    assert result.shown == (0, 3, len(in_ct))
+    assert [one.moved_mm for one in result.spheres] == [1.0, 0.0, None]
 
 
 def test_a_sphere_that_the_scan_does_not_show_keeps_its_number_and_is_not_measured() -> None:
