@@ -48,15 +48,18 @@ FEED_MM_S = 0.5  # a stop from there takes a hundredth of a mm
 # room for the point of the drill and what CT and arms err.
 # Safety against a drill that plunges (U).
 BEHIND_SKULL_MM = 2.5
+# Safety against a drill that is switched on in bone (U).
 BEFORE_BONE_MM = 2.0  # of the tip, where the drill is switched on: more than CT and arms err
+# Safety against a drill pressed until its limit trips (U).
 SLOW_SHARE = 0.6  # of the limit: from there on the feed is slowed
-FREE_N = 1.0  # two standard errors of a sensor's force at most; diploe resists with 2 N (U)
 # Across the axis: an arm of 80 N/mm yields by 0.1 mm, half of what the guide may move.
 # Safety against a drill that is pressed aside (U).
 SIDE_N = 8.0
 # Safety against a drill whose force says nothing: a wrong scale, a dead axis (U).
 BLIND_MM = 0.5  # by which a feed without bone may have been longer
 BONE_BY_MM = 2.0  # behind the skull's outside by the CT, or behind an opening begun earlier
+# Safety against a breakthrough that is not noticed (U).
+FREE_N = 1.0  # two standard errors of a sensor's force at most; diploe resists with 2 N (U)
 FALL_SHARE = 0.4  # of the force in the inner cortex: the point of the drill is through (U)
 FREE_MM = 0.6  # of feed without any resistance: thinner than any diploe without bone (U)
 
