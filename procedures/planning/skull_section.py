@@ -59,7 +59,7 @@ def measure_skull(volume: Volume, trajectory: Trajectory) -> SkullSection | None
     bone = np.flatnonzero(hu > BONE_HU)
     if not len(bone) or bone[0] == 0:
         return None
-    doubts = list[str]()
+    doubts, gap = list[str](), ""
     first, last, again = int(bone[0]), int(bone[-1]), 0  # of the nearest bone, and of that behind a gap
     for end, begin in pairwise(bone.tolist()):
         if begin == end + 1:
@@ -71,7 +71,6 @@ def measure_skull(volume: Volume, trajectory: Trajectory) -> SkullSection | None
             continue
         last = end
         if gap_mm <= NEAR_MM:
-            doubts.append(f"bone goes on {gap}: a diploe of marrow, or calcified dura behind the skull")
             again = begin
         break
     if last + 1 == len(steps_mm):
@@ -88,6 +87,10 @@ def measure_skull(volume: Volume, trajectory: Trajectory) -> SkullSection | None
         behind = bone[bone >= again]
         end = int(behind[np.flatnonzero(np.diff(behind, append=len(steps_mm) + 1) > 1)[0]])
         further_mm = _inner_face_mm(steps_mm, hu, again, min(end, len(steps_mm) - 2))
+        doubts.append(
+            f"bone goes on {gap}, to {further_mm:.1f} mm: the inner table behind a diploe of marrow, or "
+            "calcified dura behind the skull"
+        )
     return SkullSection(outside_mm, inside_mm, "; ".join(doubts), further_mm)
 
 
