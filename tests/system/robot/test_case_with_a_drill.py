@@ -8,7 +8,7 @@ import pytest
 from simulated_case import LIMIT_S, SimulatedCase
 
 from procedures.journal.journal import Entry, Line
-from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.roles import ASSISTANT
 from ronna_hw.wire.room_tasks import REST_DRILL, TEST_WEIGHT, TURN_DRILL
 from sim.world.process import load_scene
@@ -117,7 +117,7 @@ def test_after_a_breakthrough_that_was_not_accepted_no_repetition_leads_the_dril
 @pytest.mark.hazard(66)
 def test_a_drill_that_is_pressed_aside_in_the_bone_stops_and_says_so(case: SimulatedCase) -> None:
     ended = case.run(*CASE, faults="at 0 s: room drill pushed aside 10 0 N")
-    assert ended.returncode == EXIT_REFUSED, ended.stdout
+    assert ended.returncode == EXIT_SAFETY_STOP, ended.stdout
     assert "ARM-015" in ended.stderr
     assert "a force across its axis pushes the drill" in ended.stderr
     failed = first(case.journal, lambda line: line["entry"] == Entry.FAILED)
