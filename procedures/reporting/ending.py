@@ -15,6 +15,7 @@ from procedures.journal.journal import ENDS_OF_A_STEP, ONLY_LEAVING, Entry, Line
 from procedures.operator.checkpoint import PAUSED
 from procedures.operator.margin import MarginVerdict
 from procedures.reporting.outcome import RunError, Truth
+from procedures.reporting.run_events import last_held_name
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.tables import target_rows
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -80,6 +81,7 @@ class Ending:
     code: str = ""
     instrument_in: str | None = None  # the trajectory it was still in
     instrument_held_for: str | None = None  # the trajectory, if it was still in the assistant's holder
+    held_name: str = "instrument"  # or a drill
     is_open: bool = False  # in another program, which goes on with it or has yet to seal it
 
     @property
@@ -106,6 +108,8 @@ def ending_of(reading: RunReading, error: RunError | None = None, *, is_writer: 
         _by_journal(reading.run.journal, error),
         instrument_held_for=_trajectory_of(reading.run.journal, Entry.HELD, "held"),
     )
+    if ending.instrument_held_for:
+        ending = replace(ending, held_name=last_held_name(reading.run.journal))
     holder = None if is_writer else find_folder_holder(reading.folder)
     if ending.word == "killed" and holder is not None:
         return Ending(RUNNING, f"{holder} has it open.", is_open=True)

@@ -112,6 +112,12 @@ def begun_insertions(journal: Sequence[Line]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(begun))
 
 
+def last_held_name(journal: Sequence[Line]) -> str:
+    """Name what an arm held last in its holder: a drill is never told as an instrument."""
+    held = next((line for line in reversed(journal) if line["entry"] == Entry.HELD and line["held"]), None)
+    return "drill" if held is not None and held.get("drill") else "instrument"
+
+
 def clock_time(line: Line) -> str:
     """Return the wall-clock time of a line, or a dash if unknown."""
     try:

@@ -347,6 +347,7 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
             peak_N,
             broke_through=state.result is MotionResult.THROUGH,
             met_bone=state.result is not MotionResult.BONELESS,
+            side_force_N=state.side_force_N,
             slowed_s=state.slowed_cycles * cycle_s,
             drilled_s=state.drilled_cycles * cycle_s,
             drilled_N=state.drilled_N,

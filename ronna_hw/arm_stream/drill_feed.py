@@ -5,11 +5,17 @@ shows in two ways: beyond a planned depth the force falls to a share of its larg
 bone was met, nothing resists over some way. The first tells the inner cortex from the diploe by the CT, the
 second needs no CT and stops a drill in bone that is thinner than the CT shows. Where no bone is felt although
 the drill is well behind the skull's outside by the CT, the force says nothing, and the feed stops.
+
+All of this goes by the force along the axis. The force across it bends guide and drill: it hides no
+breakthrough and shows no bone, and has a limit of its own.
 """
 
 from __future__ import annotations
 
+from math import hypot, sqrt
 from typing import NamedTuple
+
+from ronna_hw.vectors import Vector3
 
 FEED_STEPS = 10  # the feed follows the force in tenths: a profile is planned anew for each
 FALL_CYCLES = 5  # in a row, until a fall counts
@@ -29,6 +35,14 @@ class DrillWatch(NamedTuple):
     earliest: float  # from here on such a fall counts
     free: float  # way over which nothing resists
     bone_by: float  # up to here bone must have been met
+    side_N: float  # more across the axis bends what leads the drill
+    axis: Vector3  # direction of the feed, robot base
+
+    def split(self, change_N: Vector3) -> tuple[float, float]:
+        """Return the force against the feed, and the one across it; a pull along it counts as none."""
+        along_N = -sum(force * share for force, share in zip(change_N, self.axis, strict=True))
+        across_N = sqrt(max(hypot(*change_N) ** 2 - along_N**2, 0.0))
+        return max(along_N, 0.0), across_N
 
 
 class DrillFeed:
@@ -38,7 +52,8 @@ class DrillFeed:
         """Begin at the start of a path; `in_bone` if it goes on after a stop, and bone was met before."""
         self._watch = watch
         self.in_bone = in_bone
-        self.has_missed_bone = False
+        self.has_missed_bone = self.is_pushed_aside = False
+        self.peak_side_N = 0.0
         self._peak_N = 0.0  # beyond `earliest`
         self._resisted = 0.0  # where something last did
         self._falls = self._resting = 0  # cycles
@@ -53,12 +68,20 @@ class DrillFeed:
         """Whether the feed has rested for too long: the drill does not cut."""
         return self._resting > self._most_resting
 
-    def note(self, force_N: float, along: float) -> None:
-        """Take the force of one cycle, at a share of the path."""
+    @property
+    def has_ended(self) -> bool:
+        """Whether the feed ends here, for whichever reason."""
+        return self.has_broken_through or self.has_stalled or self.has_missed_bone or self.is_pushed_aside
+
+    def note(self, change_N: Vector3, along: float) -> None:
+        """Take the change of the force of one cycle, robot base, at a share of the path."""
         watch = self._watch
+        force_N, side_N = watch.split(change_N)
+        self.peak_side_N = max(self.peak_side_N, side_N)
+        self.is_pushed_aside |= side_N > watch.side_N
         place = min(int(along * BINS), BINS - 1)
         self.forces_N[place] = max(self.forces_N[place], force_N)
-        over = (watch.hold_N - force_N) / (watch.hold_N - watch.slow_N)
+        over = (watch.hold_N - hypot(force_N, side_N)) / (watch.hold_N - watch.slow_N)
         self.share = int(min(max(over, 0.0), 1.0) * FEED_STEPS + 0.5) / FEED_STEPS
         self.slowed_cycles += self.share < 1.0
         self._resting = 0 if self.share else self._resting + 1

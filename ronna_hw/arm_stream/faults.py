@@ -16,7 +16,14 @@ from ronna_hw.arm_stream.drill_feed import LONGEST_REST_S
 from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, UNUSABLE_SHARE, WINDOW_CYCLES
 from ronna_hw.arm_stream.options import StreamOptions
-from ronna_hw.arm_stream.records import NO_STATE, NOTHING_AROUND, LinkFault, LinkState, MotionResult
+from ronna_hw.arm_stream.records import (
+    NO_STATE,
+    NOTHING_AROUND,
+    ForceLimit,
+    LinkFault,
+    LinkState,
+    MotionResult,
+)
 from ronna_hw.errors import AnyCode, LimitError, LinkTimeout, RefusedError, RonnaError, StateError
 
 _REFUSALS = {
@@ -109,12 +116,12 @@ class StreamFaults:
             action=self.errors.words.speed_action if is_slowed else None,
         )
 
-    def force_error(self, state: LinkState, limit_N: float) -> ForceLimitExceeded:
+    def force_error(self, state: LinkState, force: ForceLimit) -> ForceLimitExceeded:
         """Build the error for a motion that its force limit stopped, or a sensor that says nothing."""
         if not state.is_force_known:
             return ForceLimitExceeded(
                 f"{self.name}: stopped at {self.axes_text(state)}, because {SENSOR_SILENT}",
-                limit=f"{limit_N:g} N",
+                limit=f"{force.limit_N:g} N",
                 got="no force",
                 action=f"{ForceLimitExceeded.action} {LOOK_AT_SENSOR}",
             )
@@ -122,13 +129,21 @@ class StreamFaults:
             return ForceLimitExceeded(
                 f"{self.name}: the drill does not cut: its feed has rested for {LONGEST_REST_S:g} s under "
                 f"the force, at {self.axes_text(state)}",
-                limit=f"{limit_N:g} N",
+                limit=f"{force.limit_N:g} N",
                 got=f"{state.peak_force_N:.1f} N",
                 action=f"Check that the drill turns and is sharp. {ForceLimitExceeded.action}",
             )
+        if state.result is MotionResult.ASIDE and force.drill is not None:
+            return ForceLimitExceeded(
+                f"{self.name}: a force across its axis pushes the drill, at {self.axes_text(state)}",
+                limit=f"{force.drill.side_N:g} N across",
+                got=f"{state.side_force_N:.1f} N",
+                action="Switch the drill off. Look what presses on guide, drill or holder, and whether the "
+                f"drill slides on oblique bone. {ForceLimitExceeded.action}",
+            )
         return ForceLimitExceeded(
             f"{self.name}: the force on the tool stopped the motion at {self.axes_text(state)}",
-            limit=f"{limit_N:g} N",
+            limit=f"{force.limit_N:g} N",
             got=f"{state.peak_force_N:.1f} N",
         )
 

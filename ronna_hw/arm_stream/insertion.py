@@ -12,7 +12,7 @@ from ronna_hw.arm_stream.drill_feed import DrillWatch
 from ronna_hw.devices.contact import BORE_SPEED_MM_S, INSERTION_SPEED_MM_S, Insertion
 from ronna_hw.devices.robot import LineMove
 from ronna_hw.frames import Transform
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, vector3
 
 # Safety against an instrument that leaves its axis. Source: proposed requirement DA-5.
 OFF_AXIS_MM = 0.2  # proposed requirement DA-5: what a guide takes without bending the instrument
@@ -97,6 +97,12 @@ def drill_watch(kinematics: Kinematics, start_rad: JointVector, insertion: Inser
             expected="0 < free < touch < slow < limit, and a fall to a share below 1",
             got=", ".join(f"{force:g}" for force in forces_N[1:]) + f" N, {drill.fall_share:g}",
         )
+    if not 0.0 < drill.side_N <= forces_N[-1]:
+        raise INSERTION_INVALID(
+            "the force across a drill",
+            expected=f"above 0, at most the limit of {forces_N[-1]:g} N",
+            got=f"{drill.side_N:g} N",
+        )
     tool = kinematics.flange_pose(start_rad) @ insertion.flange_from_tool
     rest_mm = max(float((tool.inverse() @ insertion.target).translation_mm[2]), LEAST_DRILLED_MM)
     return DrillWatch(
@@ -108,6 +114,8 @@ def drill_watch(kinematics: Kinematics, start_rad: JointVector, insertion: Inser
         earliest=1.0 - drill.earliest_mm / rest_mm,
         free=drill.free_mm / rest_mm,
         bone_by=1.0 - drill.bone_by_mm / rest_mm,
+        side_N=drill.side_N,
+        axis=vector3(insertion.target.rotation_matrix[:, 2]),
     )
 
 

@@ -132,7 +132,7 @@ class MotionFollower(Generic[S]):
                     stop_count = link.stop(StopOrder.HOLD)
             self._watch.raise_any()
             if state.result is MotionResult.FORCE:
-                raise self._faults.force_error(state, force_limit_N)
+                raise self._faults.force_error(state, ForceLimit(force_limit_N))
             if state.result is not MotionResult.STOPPED:
                 raise self._faults.refusal_error(state)
             if link.stop_number != stop_count:
@@ -209,8 +209,8 @@ class MotionFollower(Generic[S]):
                 self._watch.raise_any()
                 raise self._faults.not_finished_error(start, link.state, timeout_s)
         self._watch.raise_any()
-        if state.result in (MotionResult.FORCE, MotionResult.STALLED):
-            raise self._faults.force_error(state, move.force.limit_N)
+        if state.result in (MotionResult.FORCE, MotionResult.STALLED, MotionResult.ASIDE):
+            raise self._faults.force_error(state, move.force)
         if state.result is MotionResult.STOPPED:
             raise self._faults.errors.stopped(
                 f"{self._faults.name}: stopped before its end", got=self._faults.axes_text(state)

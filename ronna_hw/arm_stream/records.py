@@ -115,6 +115,7 @@ class MotionResult(IntEnum):
     THROUGH = 11  # stopped on the way because a drill broke through, and settled
     STALLED = 12  # stopped on the way because a drill did not cut, and settled
     BONELESS = 13  # stopped on the way because a drill had met no bone, and settled
+    ASIDE = 14  # stopped on the way because a force across its axis pushed a drill, and settled
 
 
 class Choice(IntEnum):
@@ -231,6 +232,7 @@ class LinkState:
     drilled_cycles: Annotated[int, "Q"] = 0  # of the last motion of a drill
     slowed_cycles: Annotated[int, "Q"] = 0  # of these, with less than the planned feed
     drilled_N: Annotated[tuple[float, ...], f"{BINS}d"] = (0.0,) * BINS  # largest forces along its path
+    side_force_N: float = 0.0  # largest change across the axis of the last motion of a drill
     carries_loads: bool = False  # the last telegram has signals of the load
     load_since: Annotated[int, "Q"] = 0  # first cycle of the present standstill whose load signals are summed
     load_cycles: Annotated[int, "Q"] = 0  # how many they are by now; 0 while the arm moves

@@ -14,7 +14,7 @@ as planned.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from math import hypot, radians
+from math import radians
 from typing import Generic, NamedTuple, TypeVar
 
 from ronna_hw.arm.clearance.live_watch import Violation
@@ -351,7 +351,7 @@ class StreamSession(ABC, Generic[M, E]):
             state.peak_force_N = self._force.peak_N
         if self._drill is not None:
             state.drilled_cycles, state.slowed_cycles = self._drilled_cycles, self._drill.slowed_cycles
-            state.drilled_N = tuple(self._drill.forces_N)
+            state.drilled_N, state.side_force_N = tuple(self._drill.forces_N), self._drill.peak_side_N
         if (violation := self.violation) is not None:
             state.violation_kind = violation.kind
             state.violation_axis = violation.axis
@@ -433,8 +433,8 @@ class StreamSession(ABC, Generic[M, E]):
             self._is_force_exceeded = self._stopping = True
         if (drill := self._drill) is not None:
             self._drilled_cycles += 1
-            drill.note(hypot(*force.change_N), points.progress)
-            self._stopping |= drill.has_broken_through or drill.has_stalled or drill.has_missed_bone
+            drill.note(force.change_N, points.progress)
+            self._stopping |= drill.has_ended
         if points.push(force.change_N):
             self._stopping = True
 
@@ -472,6 +472,8 @@ class StreamSession(ABC, Generic[M, E]):
         """Return why the motion has ended before the end of its path."""
         if self._is_force_exceeded:
             return MotionResult.FORCE
+        if self._drill is not None and self._drill.is_pushed_aside:
+            return MotionResult.ASIDE
         if self._drill is not None and self._drill.has_broken_through:
             return MotionResult.THROUGH
         if self._drill is not None and self._drill.has_stalled:

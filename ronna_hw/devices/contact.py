@@ -33,7 +33,8 @@ class DrillLimits:
 
     Between `slow_N` and the force limit the feed is slowed, and rests. Beyond `earliest_mm` before the target
     a fall of the force counts, elsewhere only a way on which nothing resists. Without `touch_N` up to
-    `bone_by_mm` before the target the feed ends there.
+    `bone_by_mm` before the target the feed ends there. All of these go by the force along the axis; more than
+    `side_N` across it stops the drill.
     """
 
     slow_N: float
@@ -43,6 +44,7 @@ class DrillLimits:
     earliest_mm: float
     free_mm: float
     bone_by_mm: float
+    side_N: float
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class Inserted:
     peak_force_N: float | None  # largest change of the force; None if the arm senses none
     broke_through: bool = False  # of a drill: it ended before the target
     met_bone: bool = True  # of a drill: else it ended where bone should have been felt
+    side_force_N: float = 0.0  # of a drill: largest change of the force across its axis
     slowed_s: float = 0.0  # of a drill: with less than the planned feed
     drilled_s: float = 0.0
     drilled_N: tuple[float, ...] = ()  # largest forces in equal parts of the way to the target

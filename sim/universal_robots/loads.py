@@ -16,7 +16,7 @@ from sim.universal_robots.kinematics import IDENTITY, LinkPose, TrueKinematics, 
 from sim.universal_robots.model import JOINTS, ZEROS, Model
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
-from sim.world.drilling import DrilledSkull
+from sim.world.drilling import NO_SIDE, DrilledSkull
 from sim.world.held_torques import GRAVITY_M_S2, HeldTorques, Stiction
 from sim.world.noise import TabledNoise
 from sim.world.nominal_arm import LinkWeight
@@ -91,7 +91,7 @@ class Loads:
         self.skull: DrilledSkull | None = None  # under the drill in a holder
         self.hung_kg: Callable[[], float] | None = None  # test weight on that holder
         self._hung_n = 0.0
-        self._drill_n = 0.0
+        self._drill_n, self._aside_n = 0.0, NO_SIDE
         self.instrument: LinkPose | None = None  # held beside the flange; its z axis replaces the tool's
         self.force_n: Force = NONE  # of the room on the tool
         self.trip = ""  # why the safety system must stop the arm
@@ -117,9 +117,10 @@ class Loads:
     def follow(self) -> None:
         """Compute the loads of this cycle, and what the controller knows of them."""
         self._push_n = NONE if self.on_tool is None else self.on_tool.push_N()
-        self._drill_n = 0.0 if self.skull is None else self.skull.thrust_N()
+        if self.skull is not None:
+            self._drill_n, self._aside_n = self.skull.thrust_N(), self.skull.side_N
         self._hung_n = 0.0 if self.hung_kg is None else GRAVITY_M_S2 * self.hung_kg()
-        along_n = self.axial_n or self._drill_n
+        along_n = self.axial_n or self._drill_n or self._aside_n != NO_SIDE
         if along_n or self._hung_n or self.tissue is not None or self.hand_n is not NONE or any(self._push_n):
             self.force_n = self._present_force()
         else:
@@ -193,6 +194,11 @@ class Loads:
         against = self.axial_n + self._drill_n
         if against:
             x, y, z = x - against * tool.r02, y - against * tool.r12, z - against * tool.r22
+        if self._aside_n != NO_SIDE:
+            u, v = self._aside_n
+            x += u * tool.r00 + v * tool.r01
+            y += u * tool.r10 + v * tool.r11
+            z += u * tool.r20 + v * tool.r21
         if self.tissue is not None:
             against = self.tissue.force_n((tool.x, tool.y, tool.z))
             u, v, w = self.tissue.axis

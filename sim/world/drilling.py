@@ -10,7 +10,7 @@ import numpy as np
 
 from sim.world.displacements import ShiftedRoom, rigid_move
 from sim.world.faults import FaultBoard
-from sim.world.faults.room import DEVICE, DRILL_STALLS, OTHER_BONE
+from sim.world.faults.room import DEVICE, DRILL_ASIDE, DRILL_STALLS, OTHER_BONE
 from sim.world.noise import noise
 from sim.world.options import ArmRole
 from sim.world.rigid import as_point, inverse, matrix_of
@@ -29,6 +29,7 @@ LIPS_FEED_MM = 0.025  # per revolution of the lips, once nothing holds the tip (
 EDGE = ((0.0, 0.4), (0.2, 0.04), (0.4, 0.08), (0.6, 0.12), (0.8, 0.16), (1.0, 0.2))
 SITE = "skull"  # noise key
 NANOSECONDS = 1e9
+NO_SIDE = (0.0, 0.0)
 
 
 class ThrustModel:
@@ -68,9 +69,11 @@ class DrilledSkull:
         self._flange_from_clamp = None if holder is None else matrix_of(holder.flange_from_clamp)
         self._site, self._thrust = "", ThrustModel()
         self._before_ns = 0
+        self.side_N = NO_SIDE  # across the drill, along x and y of the clamp
 
     def thrust_N(self) -> float:
-        """Return the force of this moment against the drill, along its axis."""
+        """Return the force of this moment against the drill, along its axis; `side_N` is that across it."""
+        self.side_N = NO_SIDE
         held = self._world.held_drill() if self._flange_from_clamp is not None else None
         if held is None:
             return 0.0
@@ -84,6 +87,11 @@ class DrilledSkull:
         turns = held.turns and not self._board.active(DRILL_STALLS.name)
         thrust_N = self._thrust.advance(tables, depth_mm, cycle_s if turns else 0.0)
         if depth_mm > tables.outside_mm:
+            for one in self._board.active(DRILL_ASIDE.name):
+                self.side_N = (
+                    self.side_N[0] + float(one.arguments[0]),
+                    self.side_N[1] + float(one.arguments[1]),
+                )
             self._world.note_opening(self._site, self._thrust.bottom_mm, depth_mm - tables.inside_mm)
         return thrust_N
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from sim.world.drilling import DrilledSkull
+from sim.world.drilling import NO_SIDE, DrilledSkull
 from sim.world.held_torques import GRAVITY_M_S2
 from sim.world.noise import TabledNoise, noise
 from sim.world.options import ArmRole
@@ -19,7 +19,7 @@ from sim.world.rigid import Array, matrix_of
 from sim.world.world import World
 
 NO_FORCES: Final[Sequence[float]] = (0.0,) * 6
-NOTHING_HUNG: Final = np.zeros(6)
+NO_WRENCH: Final = np.zeros(6)
 MM: Final = 1000.0
 SECONDS_PER_MINUTE: Final = 60.0
 DEVICE: Final = "force sensor"  # noise key
@@ -39,6 +39,7 @@ class ForceSensor:
         axis, place_m = clamp[:3, 2], clamp[:3, 3] / MM
         self._clamp_m = place_m
         self._along = -np.array([*axis, *np.cross(place_m, axis)])  # of each newton against the drill
+        self._across = np.array([[*side, *np.cross(place_m, side)] for side in clamp[:3, :2].T])
         truth, draws = holder.force_sensor, noise(world.scene.seed, f"{DEVICE} {role.value}", 0)
         gains = 1.0 + draws.normal(0.0, truth.gain_share, 6)
         crosstalk = draws.normal(0.0, truth.crosstalk_share, (6, 6)) * (1.0 - np.eye(6))
@@ -55,14 +56,21 @@ class ForceSensor:
         thrust_N = self._skull.thrust_N()
         if not is_dead:
             drifted = self._bias + self._clock.now_s() * self._drift_s
-            shown = self._shows @ (thrust_N * self._along + self._hung_weight()) + drifted
+            shown = (
+                self._shows @ (thrust_N * self._along + self._side_force() + self._hung_weight()) + drifted
+            )
             self._last = (shown + self._sizes * self._noise.at(cycle, 6)).tolist()
         return self._last
+
+    def _side_force(self) -> Array:
+        """Return force and torque (6,) across the drill, as if at the clamp, along the axes of the flange."""
+        side_N = self._skull.side_N
+        return NO_WRENCH if side_N == NO_SIDE else np.array(side_N) @ self._across
 
     def _hung_weight(self) -> Array:
         """Return force and torque (6,) of the test weight on the clamp, along the axes of the flange."""
         if not (mass_kg := self._world.hung_kg()):
-            return NOTHING_HUNG
+            return NO_WRENCH
         robot_from_flange = self._robot_from_base @ self._world.arm(self._role).robot_from_flange[:3, :3]
         weight_N = -GRAVITY_M_S2 * mass_kg * robot_from_flange[2]
         return np.array([*weight_N, *np.cross(self._clamp_m, weight_N)])

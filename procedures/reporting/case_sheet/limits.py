@@ -23,9 +23,9 @@ from procedures.steps.clinical.followed_move import MOST_FOLLOWED_RAD
 from procedures.steps.clinical.global_localization import SPREAD_LIMIT_MM
 from procedures.steps.clinical.room import MOST_FOLLOWED_MM
 from procedures.steps.clinical.tool_check import TILT_LIMIT_DEG
-from procedures.steps.clinical.two_arms.assisted_drilling import EARLY_MM, LATE_MM
 from procedures.steps.clinical.two_arms.assisted_insertion import LARGEST_GAP_MM
 from procedures.steps.clinical.two_arms.over_guide import COAXIAL_MM, COAXIAL_RAD
+from procedures.steps.clinical.two_arms.skull_opening import EARLY_MM, LATE_MM
 from procedures.steps.clinical.work_progress import STOP_LIMIT_MM
 from procedures.steps.conditions import LONGEST_S
 from ronna_hw.arm.catalogue import ARMS

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from procedures.calibration.base_to_base import LARGEST_ERROR_MM
 from procedures.engine.events import ArmsApart, Event
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
+from procedures.journal.journal import Entry, Line
 from procedures.reporting.arm_ways import ArmWay, list_arm_ways
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -101,6 +102,13 @@ def _read_distances(folder: Path) -> tuple[TimedDistance, ...]:
     return tuple(found)
 
 
+def _read_openings(journal: Sequence[Line]) -> tuple[OpeningRow, ...]:
+    """Read the last opening at each target, also where the step did not end."""
+    stages = [line for line in journal if line["entry"] == Entry.STAGE and line.get("opening")]
+    last = {str(line["trajectory"]): CranialOpening.model_validate(line["opening"]) for line in stages}
+    return tuple(OpeningRow(target, opening) for target, opening in last.items())
+
+
 def _find_closest_mm(way: ArmWay, distances: Sequence[TimedDistance]) -> float | None:
     """Return the smallest distance of which displays were told on a way, or None if of none."""
     end_s = way.home_s or way.end_s or way.begin_s
@@ -115,7 +123,7 @@ def read_two_arms(reading: RunReading) -> TwoArms | None:
         return None
     worked = [(str(one.record.trajectory), one.result) for one in reading.valid_results(ReachedTarget)]
     assisted = tuple(AssistedRow(target, one.assisted) for target, one in worked if one.assisted)
-    openings = tuple(OpeningRow(target, one.opening) for target, one in worked if one.opening)
+    openings = _read_openings(reading.run.journal)
     distances = _read_distances(reading.folder)
     ways = (WayRow(way, _find_closest_mm(way, distances)) for way in list_arm_ways(reading.run.journal))
     return TwoArms(bases, assisted, tuple(ways), distances, openings)

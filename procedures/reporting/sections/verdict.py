@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from procedures.journal.results import StepResult
 from procedures.reporting.ending import Ending
-from procedures.reporting.run_events import RunEvent, begun_insertions
+from procedures.reporting.run_events import RunEvent, begun_insertions, last_held_name
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.tables import TargetTable
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -18,10 +18,11 @@ from procedures.steps.clinical.results import KnownBases, LeftOutSphere, Registe
 
 @dataclass(frozen=True)
 class AssistantWork:
-    """Trajectories at which the assistant began to lead the instrument in, and at which it did."""
+    """Trajectories at which the assistant began to lead something in, and at which the instrument went in."""
 
     begun: tuple[str, ...]
     done: tuple[str, ...]
+    led: str = "instrument"  # last, or a drill
 
     @property
     def unfinished(self) -> tuple[str, ...]:
@@ -55,7 +56,8 @@ def read_assistant_work(reading: RunReading) -> AssistantWork | None:
         return None
     reached = reading.valid_results(ReachedTarget)
     done = tuple(str(one.record.trajectory) for one in reached if one.result.assisted)
-    return AssistantWork(begun_insertions(reading.run.journal), done)
+    journal = reading.run.journal
+    return AssistantWork(begun_insertions(journal), done, last_held_name(journal))
 
 
 def describe_exclusions(reading: RunReading) -> tuple[str, ...]:

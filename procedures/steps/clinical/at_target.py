@@ -31,12 +31,13 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import AssistedInsertion, CranialOpening, KnownBases
 from procedures.steps.clinical.room import ROOM_READS, check_room, require_head_in_view
-from procedures.steps.clinical.two_arms.assisted_drilling import describe_opening, drill_with_assistant
+from procedures.steps.clinical.two_arms.assisted_drilling import drill_with_assistant
 from procedures.steps.clinical.two_arms.assisted_insertion import (
     insert_with_assistant,
     send_assistant_home,
     withdraw_assistant,
 )
+from procedures.steps.clinical.two_arms.skull_opening import describe_opening
 from procedures.steps.clinical.work_progress import (
     STAGES,
     DepthStop,

@@ -296,9 +296,22 @@ class CranialOpening(Values):
     planned_inside_mm: float = Field(description="Inner face of the skull in the CT.")
     deepest_mm: float = Field(description="Where the stop of the drill would have rested on the guide.")
     depth_mm: float = Field(description="Tip of the drill where it stopped, by the joints.")
-    broke_through: bool = Field(description="Whether the force showed the breakthrough there.")
-    doubt: str = Field(description="What did not agree with the CT, as the operator accepted it; '' if none.")
+    further_inside_mm: float | None = Field(
+        description="Inner face by another reading of the CT that has it deeper; none where there is but one."
+    )
+    force_fell: bool = Field(
+        description="Whether the feed ended because the force fell: nothing is fed deeper there again."
+    )
+    broke_through: bool = Field(
+        description="Whether that is a breakthrough; not where by a reading of the CT bone goes on behind."
+    )
+    met_bone: bool = Field(description="Whether bone was felt.")
+    doubt: str = Field(
+        description="What did not agree with the CT, as the operator was asked; '' if nothing."
+    )
+    accepted: bool = Field(description="Whether the opening counts as drilled, by the CT or the operator.")
     peak_force_N: NonNegativeFloat = Field(description="Largest change of the force.")
+    side_force_N: NonNegativeFloat = Field(description="Largest change of the force across the drill's axis.")
     force_limit_N: PositiveFloat = Field(description="Force that stops the drill.")
     force_error_N: NonNegativeFloat = Field(
         description="Two standard errors of the force; the arm stops by as much below the limit."

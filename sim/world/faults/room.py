@@ -184,6 +184,12 @@ DRILL_STALLS = declare_lasting(
     "drill stalls",
     "The drill in the assistant's holder does not turn, whoever switches it on.",
 )
+DRILL_ASIDE = declare_lasting(
+    "drill_aside",
+    "drill pushed aside SIGNED SIGNED N",
+    "In the bone, the drill in the assistant's holder is pressed aside with that force, along x and y of the "
+    "clamp. The sensor shows it; nothing bends.",
+)
 WRONG_LOAD = declare_lasting(
     "wrong_load",
     "wrong load SIGNED kg",

@@ -399,6 +399,7 @@ ROWS = (
     # without --drill nothing of the skull is felt; with it: `tests/unit/world/test_drilling.py`
     Row("room bone thicker -3 mm", "at_target", DONE, begins=SINCE, arms=("--dual",)),
     Row("room drill stalls", "at_target", DONE, begins=SINCE, arms=("--dual",)),
+    Row("room drill pushed aside 6 0 N", "at_target", DONE, begins=SINCE, arms=("--dual",)),
     Row(
         "room shift head 0.3 0.4 0 mm",
         "path_check relocalization registration tool_change tool_check positioning retreat",

@@ -8,7 +8,7 @@ import pytest
 from simulated_case import LIMIT_S, SimulatedCase
 
 from procedures.journal.journal import Entry, Line
-from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.roles import ASSISTANT
 from ronna_hw.wire.room_tasks import REST_DRILL, TEST_WEIGHT, TURN_DRILL
 from sim.world.process import load_scene
@@ -90,3 +90,35 @@ def test_after_an_emergency_stop_with_the_drill_turning_it_is_switched_off_led_o
     again = first(after, is_insertion)
     assert off < out < asked < again
     assert (after[out]["arm"], after[out]["what"]) == (ASSISTANT, "withdraw")
+
+
+NOT_DRILLED = '[answers]\nbreakthrough = "no"\n'
+
+
+@pytest.mark.hazard(65)
+def test_after_a_breakthrough_that_was_not_accepted_no_repetition_leads_the_drill_in_again(
+    case: SimulatedCase,
+) -> None:
+    ended = case.run(*CASE, faults="since step == at_target: room bone thicker -2.8 mm", answers=NOT_DRILLED)
+    assert ended.returncode == EXIT_REFUSED, ended.stdout
+    assert "the operator did not accept the opening at T1" in ended.stderr
+    openings = [line["opening"] for line in case.journal if line.get("opening")]
+    assert [one["force_fell"] for one in openings] == [True]  # type: ignore[index,call-overload]
+    before = len(case.journal)
+    folder = str(case.run_folder)
+    again = case.commands.run("ronna-procedure", "resume", folder, "--accept", "--json", timeout_s=LIMIT_S)
+    assert again.returncode == EXIT_REFUSED, again.stdout
+    assert "an opening was through at" in again.stderr
+    after = case.journal[before:]
+    assert first(after, lambda line: is_motion(line) and line["what"] == "withdraw") >= 0
+    assert not list(filter(is_insertion, after))
+
+
+@pytest.mark.hazard(66)
+def test_a_drill_that_is_pressed_aside_in_the_bone_stops_and_says_so(case: SimulatedCase) -> None:
+    ended = case.run(*CASE, faults="at 0 s: room drill pushed aside 10 0 N")
+    assert ended.returncode == EXIT_SAFETY_STOP, ended.stdout
+    assert "ARM-015" in ended.stderr
+    assert "a force across its axis pushes the drill" in ended.stderr
+    failed = first(case.journal, lambda line: line["entry"] == Entry.FAILED)
+    assert not any(map(is_motion, case.journal[failed:]))

@@ -9,6 +9,7 @@ from coded_errors import raises
 from rtde_stand import CYCLE_S, FAR, LIMITS, MODEL, START, RtdeStand, streaming
 
 from ronna_hw.arm.errors import INSERTION_INVALID
+from ronna_hw.arm_stream.drill_feed import DrillWatch
 from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.hand_guided import guide_limits
 from ronna_hw.arm_stream.insertion import has_begun, plan_insertion
@@ -64,6 +65,41 @@ def test_a_force_below_the_limit_or_a_bias_does_not_stop_a_motion() -> None:
     stand.run()
     assert stand.session.result is MotionResult.DONE
     assert stand.session.state(real_time=False, locked=False).peak_force_N == pytest.approx(28.0, abs=0.1)
+
+
+DRILL = DrillWatch(
+    slow_N=18.0,
+    hold_N=27.6,
+    touch_N=4.0,
+    free_N=1.0,
+    fall_share=0.4,
+    earliest=1.0,
+    free=0.9,
+    bone_by=0.5,
+    side_N=8.0,
+    axis=(0.0, 0.6, -0.8),
+)
+
+
+@pytest.mark.hazard(66)
+@pytest.mark.parametrize(
+    ("force_N", "end"),
+    [
+        ((0.0, -6.0, 8.0), MotionResult.DONE),  # against the feed: bone
+        ((0.0, 6.0, -8.0), MotionResult.BONELESS),  # a pull
+        ((7.0, 0.0, 0.0), MotionResult.BONELESS),  # across it
+        ((0.0, 8.0, 6.0), MotionResult.ASIDE),
+    ],
+)
+def test_a_drill_is_judged_by_the_force_along_its_axis(
+    force_N: tuple[float, float, float], end: MotionResult
+) -> None:
+    stand = resting()
+    stand.move(force=ForceLimit(30.0, drill=DRILL))
+    stand.cycles(50)
+    stand.force_N = force_N
+    stand.run()
+    assert stand.session.result is end
 
 
 @pytest.mark.hazard(56)

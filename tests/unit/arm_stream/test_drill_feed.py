@@ -7,6 +7,7 @@ from typing import NamedTuple
 import pytest
 
 from ronna_hw.arm_stream.drill_feed import LONGEST_REST_S, DrillFeed, DrillWatch
+from ronna_hw.vectors import Vector3
 from sim.world.drilling import ThrustModel
 from sim.world.skull import SCALP_MM, SkullTables
 
@@ -16,6 +17,8 @@ CT = SkullTables.of()
 BEGIN_MM, END_MM = CT.outside_mm - 2.0, CT.inside_mm + 2.5
 EARLIEST_MM = CT.inside_mm - 1.0
 LIMIT_N = 30.0
+AXIS = (0.6, 0.0, -0.8)  # of the feed, robot base
+ASIDE = (0.8, 0.0, 0.6)  # across it
 
 
 class Drilled(NamedTuple):
@@ -38,17 +41,28 @@ def watch() -> DrillWatch:
         earliest=(EARLIEST_MM - BEGIN_MM) / length_mm,
         free=0.6 / length_mm,
         bone_by=(CT.outside_mm + 2.0 - BEGIN_MM) / length_mm,
+        side_N=8.0,
+        axis=AXIS,
     )
 
 
-def drill(tables: SkullTables, *, harder: float = 1.0, turns: bool = True, scale: float = 1.0) -> Drilled:
-    """Feed a drill into a skull until the feed ends, or its way."""
+def against(force_N: float, side_N: float = 0.0) -> Vector3:
+    """The force in the robot base of one against the feed, and one across it."""
+    x, y, z = (side_N * aside - force_N * axis for aside, axis in zip(ASIDE, AXIS, strict=True))
+    return x, y, z
+
+
+def drill(
+    tables: SkullTables, *, harder: float = 1.0, turns: bool = True, scale: float = 1.0, side_N: float = 0.0
+) -> Drilled:
+    """Feed a drill into a skull until the feed ends, or its way; from 1 mm on a force presses it aside."""
     feed, thrust = DrillFeed(watch(), CYCLE_S, in_bone=False), ThrustModel(harder)
     depth_mm, peak_N, cycles = BEGIN_MM, 0.0, 0
-    while depth_mm < END_MM and not (feed.has_broken_through or feed.has_stalled or feed.has_missed_bone):
+    while depth_mm < END_MM and not feed.has_ended:
         depth_mm += feed.share * FEED_MM_S * CYCLE_S
         force_N = scale * thrust.advance(tables, depth_mm, CYCLE_S if turns else 0.0)
-        feed.note(force_N, (depth_mm - BEGIN_MM) / (END_MM - BEGIN_MM))
+        pressed_N = side_N if depth_mm > BEGIN_MM + 1.0 else 0.0
+        feed.note(against(force_N, pressed_N), (depth_mm - BEGIN_MM) / (END_MM - BEGIN_MM))
         peak_N, cycles = max(peak_N, force_N), cycles + 1
     return Drilled(depth_mm, peak_N, cycles * CYCLE_S, feed)
 
@@ -117,13 +131,46 @@ def test_a_drill_whose_sensor_feels_no_bone_is_stopped_in_the_outer_table(scale:
     assert drilled.depth_mm == pytest.approx(CT.outside_mm + 2.0, abs=0.01)
 
 
+@pytest.mark.hazard(66)
+def test_a_force_across_the_drill_is_no_bone_for_a_sensor_whose_axis_along_it_is_dead() -> None:
+    drilled = drill(CT, scale=0.02, side_N=4.5)
+    assert drilled.feed.has_missed_bone
+    assert not drilled.feed.in_bone
+    assert drilled.depth_mm == pytest.approx(CT.outside_mm + 2.0, abs=0.01)
+
+
+@pytest.mark.hazard(65)
+def test_a_force_across_the_drill_hides_no_breakthrough() -> None:
+    drilled = drill(CT, side_N=7.0)
+    assert drilled.feed.has_broken_through
+    assert drilled.depth_mm == pytest.approx(drill(CT).depth_mm, abs=0.05)
+    assert drilled.feed.peak_side_N == pytest.approx(7.0)
+
+
+@pytest.mark.hazard(66)
+def test_a_force_across_the_drill_above_its_limit_ends_the_feed() -> None:
+    drilled = drill(CT, side_N=8.5)
+    assert drilled.feed.is_pushed_aside
+    assert not drilled.feed.has_broken_through
+    assert drilled.depth_mm < CT.outside_mm
+
+
+@pytest.mark.hazard(65)
+def test_a_drill_that_is_pulled_into_the_opening_meets_no_bone() -> None:
+    feed = DrillFeed(watch(), CYCLE_S, in_bone=True)
+    for step in range(20):
+        feed.note(against(-6.0), step / 100.0)
+    assert feed.has_broken_through
+    assert max(feed.forces_N) == 0.0
+
+
 @pytest.mark.hazard(65)
 def test_going_on_after_a_halt_before_the_bone_finds_no_breakthrough_in_air() -> None:
     feed = DrillFeed(watch(), CYCLE_S, in_bone=False)
-    feed.note(0.3, 0.1)
+    feed.note(against(0.3), 0.1)
     on = DrillFeed(watch(), CYCLE_S, in_bone=feed.in_bone)
     for step in range(20):
-        on.note(0.3, step / 100.0)
+        on.note(against(0.3), step / 100.0)
     assert not on.has_broken_through
 
 
@@ -131,5 +178,5 @@ def test_a_way_through_air_is_no_breakthrough() -> None:
     assert pytest.approx(5.7) == SCALP_MM
     feed = DrillFeed(watch(), CYCLE_S, in_bone=False)
     for step in range(100):
-        feed.note(0.3, step / 100.0)
+        feed.note(against(0.3), step / 100.0)
     assert not feed.has_broken_through

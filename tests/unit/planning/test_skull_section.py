@@ -54,6 +54,49 @@ def test_a_calcified_dura_is_told_and_not_joined_to_the_skull() -> None:
     assert found is not None
     assert found.inside_mm == pytest.approx(12.5, abs=0.4)
     assert "bone goes on behind a gap" in found.doubt
+    assert found.further_mm == pytest.approx(17.0, abs=0.4)
+
+
+BEHIND_SKULL = {
+    "contrast of 350 HU": ((12.5, 350.0), (16.0, 30.0)),
+    "contrast of 500 HU": ((12.5, 500.0), (16.0, 30.0)),
+    "calcified dura, 0.8 mm behind": ((12.5, 60.0), (13.3, 900.0), (14.3, 30.0)),
+}
+
+
+@pytest.mark.hazard(65)
+@pytest.mark.parametrize("behind", BEHIND_SKULL.values(), ids=BEHIND_SKULL.keys())
+@pytest.mark.parametrize("slice_mm", [0.5, 1.0, 1.5])
+def test_contrast_or_calcified_dura_against_the_inner_table_is_told_and_the_nearer_inside_counts(
+    behind: tuple[tuple[float, float], ...], slice_mm: float
+) -> None:
+    found = measure_skull(volume((*HEAD[:-1], *behind), slice_mm), INTO_HEAD)
+    assert found is not None
+    assert found.inside_mm == pytest.approx(12.5, abs=0.7)
+    assert "does not end sharply" in found.doubt
+    assert found.further_mm is not None
+    assert found.further_mm == pytest.approx(behind[-1][0], abs=1.0)
+
+
+@pytest.mark.hazard(65)
+@pytest.mark.parametrize("marrow_hu", [150.0, -50.0])
+@pytest.mark.parametrize("slice_mm", [1.0, 1.5])
+def test_a_diploe_of_marrow_has_two_readings_and_the_nearer_inside_counts(
+    marrow_hu: float, slice_mm: float
+) -> None:
+    found = measure_skull(volume((*HEAD[:2], (7.5, marrow_hu), *HEAD[3:]), slice_mm), INTO_HEAD)
+    assert found is not None
+    assert found.inside_mm == pytest.approx(7.5, abs=0.4)
+    assert found.furthest_mm == pytest.approx(12.5, abs=0.6)
+    assert "diploe of marrow" in found.doubt
+
+
+@pytest.mark.parametrize("inner_hu", [1450.0, 1000.0])
+@pytest.mark.parametrize("slice_mm", [0.5, 1.0, 1.5])
+def test_a_plain_skull_has_one_reading(inner_hu: float, slice_mm: float) -> None:
+    found = measure_skull(volume((*HEAD[:3], (10.7, inner_hu), HEAD[-1]), slice_mm), INTO_HEAD)
+    assert found is not None
+    assert (found.doubt, found.further_mm) == ("", None)
 
 
 @pytest.mark.parametrize(("clip", "is_found"), [((-4.0, -3.0), True), ((-1.0, 0.5), False)])

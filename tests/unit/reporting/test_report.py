@@ -42,7 +42,7 @@ from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResul
 from procedures.reporting.outcome import ErrorParts, TargetTruth, Truth
 from procedures.reporting.pictures import PUBLISHED_MM
 from procedures.reporting.report import write_report
-from procedures.reporting.run_events import begun_insertions
+from procedures.reporting.run_events import begun_insertions, last_held_name
 from procedures.reporting.run_reading import find_used_strategies, read_for_report
 from procedures.reporting.run_statistics import timeline
 from procedures.reporting.tables import plan_rows
@@ -318,6 +318,15 @@ def test_insertions_that_an_assistant_began_are_listed_by_trajectory() -> None:
         *[{**by_assistant, "what": "insert", "trajectory": one} for one in ("T1", "T2", "T2")],
     ]
     assert begun_insertions(lines) == ("T1", "T2")
+
+
+@pytest.mark.hazard(65)
+def test_a_drill_is_not_told_as_an_instrument() -> None:
+    drill: Line = {"entry": "held", "arm": "assistant", "held": True, "drill": {"entry_mm": 100.0}}
+    instrument: Line = {"entry": "held", "arm": "assistant", "held": True}
+    assert last_held_name([instrument, drill]) == "drill"
+    assert last_held_name([drill, {**drill, "held": False}, instrument]) == "instrument"
+    assert last_held_name([]) == "instrument"
 
 
 def test_a_simulated_report_says_how_the_arms_error_sizes_were_chosen(reported: Path) -> None:

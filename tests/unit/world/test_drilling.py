@@ -96,6 +96,19 @@ def test_a_sensor_shows_the_thrust_with_its_errors_and_repeats_itself_when_dead(
     assert sensor.read(801, is_dead=True) == sensor.read(802, is_dead=True)
 
 
+@pytest.mark.hazard(66)
+def test_a_sensor_shows_what_presses_the_drill_aside_in_the_bone_across_its_axis() -> None:
+    world, _ = world_with_drill()
+    world.set_fault_script("at 0 s: room drill pushed aside 6 -2 N")
+    sensor = ForceSensor(world, ROLE)
+    place_tip(world, 0.0)
+    before = np.mean([sensor.read(cycle) for cycle in range(400)], axis=0)
+    place_tip(world, SkullTables.of().outside_mm + 0.1)
+    change = np.mean([sensor.read(cycle) for cycle in range(400, 800)], axis=0) - before
+    clamp = matrix_of(HOLDER.flange_from_clamp)[:3, :3]
+    np.testing.assert_allclose(clamp.T @ change[:3], [6.0, -2.0, -4.0], atol=0.4)
+
+
 def test_a_test_weight_pulls_straight_down_by_the_scale_of_the_sensor_until_it_is_taken_off() -> None:
     assert SCENE.assistant is not None
     assert SCENE.assistant.force_sensor is not None

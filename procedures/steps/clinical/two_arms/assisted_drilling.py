@@ -2,8 +2,9 @@
 
 The drill's stop is set so that it rests on the guide just behind the skull as the CT shows it. The assistant
 leads the drill to in front of the bone, there the staff switch it on, and it is fed until the force shows the
-breakthrough. One that is too early or too late by the CT is for the operator. The opening is recorded, and
-the drill led out and put away, before anything else goes through the guide.
+breakthrough. One that is too early or too late by the CT, or where the CT has two readings, is for the
+operator. The opening is recorded as soon as the feed has ended; where the force fell, no repetition feeds
+deeper. The drill is led out and put away before anything else goes through the guide.
 """
 
 from __future__ import annotations
@@ -11,8 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from procedures.engine.context import StepContext
-from procedures.journal.errors import GateFailed
-from procedures.operator.question import NO, YES, Question, Task, Topic
+from procedures.operator.question import Task
 from procedures.planning.skull_section import SkullSection, measure_skull
 from procedures.steps.clinical.ct_import import volume_of
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -23,8 +23,16 @@ from procedures.steps.clinical.two_arms.over_guide import (
     LoadedTool,
     OverGuide,
     bring_over_guide,
+    close_earlier_way,
     guided_stretch,
     look_back,
+)
+from procedures.steps.clinical.two_arms.skull_opening import (
+    EARLY_MM,
+    TOUCH_N,
+    accept_opening,
+    find_doubt,
+    require_bone,
 )
 from procedures.steps.clinical.work_progress import STOP_LIMIT_MM, DepthStop
 from procedures.steps.errors import DEPTH_STOP_WRONG
@@ -32,7 +40,6 @@ from procedures.workcell import InsertionAxis
 from procedures.workcell.arm_history import HeldDrill
 from procedures.workcell.assistant import DrillPlan, GuidedStretch
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, DrillLimits, Inserted
-from ronna_hw.text import format_against_limit
 from ronna_hw.wire.room_tasks import DRILL_HOLDER, TURN_DRILL
 
 # Safety against a drill fed too fast (U).
@@ -41,17 +48,18 @@ FEED_MM_S = 0.5  # a stop from there takes a hundredth of a mm
 # room for the point of the drill and what CT and arms err.
 # Safety against a drill that plunges (U).
 BEHIND_SKULL_MM = 2.5
-# A breakthrough elsewhere about the inside of the skull by the CT is for the operator. The point of a drill
-# passes the inside by up to a mm until the force falls.
-# Safety against a breakthrough taken for one (U).
-EARLY_MM, LATE_MM = 1.0, 2.0
+# Safety against a drill that is switched on in bone (U).
 BEFORE_BONE_MM = 2.0  # of the tip, where the drill is switched on: more than CT and arms err
+# Safety against a drill pressed until its limit trips (U).
 SLOW_SHARE = 0.6  # of the limit: from there on the feed is slowed
-TOUCH_N = 4.0  # skin at its edges and a drill that turns in air take less (U)
-FREE_N = 1.0  # two standard errors of a sensor's force at most; diploe resists with 2 N (U)
+# Across the axis: an arm of 80 N/mm yields by 0.1 mm, half of what the guide may move.
+# Safety against a drill that is pressed aside (U).
+SIDE_N = 8.0
 # Safety against a drill whose force says nothing: a wrong scale, a dead axis (U).
 BLIND_MM = 0.5  # by which a feed without bone may have been longer
 BONE_BY_MM = 2.0  # behind the skull's outside by the CT, or behind an opening begun earlier
+# Safety against a breakthrough that is not noticed (U).
+FREE_N = 1.0  # two standard errors of a sensor's force at most; diploe resists with 2 N (U)
 FALL_SHARE = 0.4  # of the force in the inner cortex: the point of the drill is through (U)
 FREE_MM = 0.6  # of feed without any resistance: thinner than any diploe without bone (U)
 
@@ -70,16 +78,16 @@ class DrillDepths(NamedTuple):
     def from_mm(self) -> float:
         return self.skull.outside_mm - BEFORE_BONE_MM
 
-    def bone_by_mm(self, begun_mm: float | None) -> float:
+    def bone_by_mm(self, begun_mm: float | None, *, met_bone: bool = True) -> float:
         """Return where bone must have been felt; an opening begun earlier has none up to its bottom.
 
-        Only one that goes deeper than a feed without bone was drilled with bone felt: no repetition adds to
-        a hole that was drilled blindly.
+        No repetition adds to a hole that was drilled blindly: one that goes no deeper than a first feed
+        without bone, or whose last feed has not `met_bone`.
         """
         bone_by_mm = self.skull.outside_mm + BONE_BY_MM
         if begun_mm is None or begun_mm <= bone_by_mm + BLIND_MM:
             return bone_by_mm
-        return begun_mm + BONE_BY_MM
+        return min(begun_mm + (BONE_BY_MM if met_bone else 0.0), self.deepest_mm - BLIND_MM)
 
 
 def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpening | None:
@@ -93,15 +101,20 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
     depths = _find_depths(context, stop)
     if depths is None:
         return None
+    stages = context.workcell.master.instrument.stages
+    recorded = stages.opening_at(trajectory)
+    earlier = None if recorded is None else CranialOpening.model_validate(recorded)
+    if earlier is not None and earlier.force_fell:
+        return _keep_opening(context, earlier)
     stop_mm = stop.bore_mm + stop.standoff_mm + depths.deepest_mm
     limit_N = settings.drill_force_N
     begun_mm = assistant.drilled_mm(trajectory)
 
     def ask(axis: InsertionAxis) -> str:
-        skull, earlier = depths.skull, context.workcell.master.instrument.stages.interruption_at(trajectory)
+        skull, interruption = depths.skull, stages.interruption_at(trajectory)
         begun = "" if begun_mm is None else f", with the tip {begun_mm:.1f} mm behind the entry"
-        if begun or earlier:
-            why = f": {earlier}" if earlier else ""
+        if begun or interruption:
+            why = f": {interruption}" if interruption else ""
             begun = f" DRILLING WAS BEGUN THERE{begun}, and interrupted{why}."
         doubt = f" CAUTION: {skull.doubt}." if skull.doubt else ""
         return (
@@ -127,29 +140,17 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
         Task(TURN_DRILL, f"switch the drill for {trajectory} on, and keep it running", trajectory)
     )
     context.progress(0.4, f"the assistant drills at {trajectory}")
-    plan = _plan_feed(depths, limit_N, begun_mm)
+    met_bone_before = earlier is None or earlier.met_bone
+    plan = _plan_feed(depths, limit_N, depths.bone_by_mm(begun_mm, met_bone=met_bone_before))
     drilled = assistant.drill(axis, plan)
     depth_mm = assistant.require_on_axis() - depths.at_entry_mm
+    opening = _build_opening(depths, plan, over, drilled, depth_mm, assistant.force_error_N)
+    stages.record_opening(trajectory, opening.model_dump(mode="json"))
     context.rest_drill()
-    _require_bone(context, depths, drilled, depth_mm)
-    doubt = _accept_breakthrough(context, depths, drilled, depth_mm)
-    opening = _build_opening(depths, plan, over, drilled, depth_mm, assistant.force_error_N, doubt)
-    context.workcell.master.instrument.stages.record_opening(trajectory, opening.model_dump(mode="json"))
-    context.find(f"at {trajectory} the assistant drilled: {describe_opening(opening)}")
+    require_bone(context, opening, begun_mm)
+    opening = accept_opening(context, opening)
     _put_drill_away(context, guided)
     return opening
-
-
-def describe_opening(opening: CranialOpening) -> str:
-    """Describe an opening in one line."""
-    through = "the force showed the breakthrough" if opening.broke_through else "no breakthrough was seen"
-    return (
-        f"{through} {opening.depth_mm:.1f} mm behind the entry (inside of the skull by the CT "
-        f"{opening.planned_inside_mm:.1f} mm), up to {opening.peak_force_N:.1f} ± "
-        f"{opening.force_error_N:.1f} N of {opening.force_limit_N:g} N, {opening.drilled_s:.0f} s"
-        + (f", slowed for {opening.slowed_s:.0f} s" if opening.slowed_s >= 1.0 else "")
-        + (f"; {opening.doubt}, accepted by the operator" if opening.doubt else "")
-    )
 
 
 def _find_depths(context: StepContext, stop: DepthStop) -> DrillDepths | None:
@@ -200,7 +201,7 @@ def _load_drill(context: StepContext, stop_mm: float) -> None:
         )
 
 
-def _plan_feed(depths: DrillDepths, limit_N: float, begun_mm: float | None) -> DrillPlan:
+def _plan_feed(depths: DrillDepths, limit_N: float, bone_by_mm: float) -> DrillPlan:
     limits = DrillLimits(
         slow_N=SLOW_SHARE * limit_N,
         touch_N=TOUCH_N,
@@ -208,7 +209,8 @@ def _plan_feed(depths: DrillDepths, limit_N: float, begun_mm: float | None) -> D
         fall_share=FALL_SHARE,
         earliest_mm=BEHIND_SKULL_MM + EARLY_MM,
         free_mm=FREE_MM,
-        bone_by_mm=depths.deepest_mm - depths.bone_by_mm(begun_mm),
+        bone_by_mm=depths.deepest_mm - bone_by_mm,
+        side_N=SIDE_N,
     )
     at_entry_mm = depths.at_entry_mm
     return DrillPlan(
@@ -216,76 +218,35 @@ def _plan_feed(depths: DrillDepths, limit_N: float, begun_mm: float | None) -> D
     )
 
 
-def _require_bone(context: StepContext, depths: DrillDepths, drilled: Inserted, depth_mm: float) -> None:
-    """Raise PRO-007 if no bone was felt where it should have been: the force on the drill says nothing."""
-    if drilled.met_bone:
-        return
-    outside_mm = depths.skull.outside_mm
-    raise GateFailed(
-        f"at {context.trajectory} the drill felt no bone",
-        expected=f"{TOUCH_N:g} N behind the outside of the skull, {outside_mm:.1f} mm behind the entry",
-        got=f"at most {drilled.peak_force_N or 0.0:.1f} N up to {depth_mm:.1f} mm",
-        action="The drill is switched off, and nothing moves. The force sensor may have a wrong scale or a "
-        "dead axis: the drill may be in bone all the same. Send the arms home: the drill is led out once "
-        "that is confirmed. Then drill by hand, and have the sensor checked first.",
-    )
-
-
-def _accept_breakthrough(
-    context: StepContext, depths: DrillDepths, drilled: Inserted, depth_mm: float
-) -> str:
-    """Return what does not agree with the CT, once the operator accepts it. Raises PRO-007 otherwise."""
-    trajectory, inside_mm = context.trajectory, depths.skull.inside_mm
-    off_mm = depth_mm - inside_mm
-    if not drilled.broke_through:
-        doubt = f"no breakthrough up to {depth_mm:.1f} mm, {off_mm:.1f} mm behind the skull of the CT"
-        limit = "a fall of the force"
-    elif off_mm < -EARLY_MM:
-        doubt = f"a breakthrough {-off_mm:.1f} mm before the inside of the skull by the CT"
-        limit = f"{EARLY_MM:g} mm before {inside_mm:.1f} mm"
-    elif off_mm > LATE_MM:
-        doubt = f"a breakthrough {off_mm:.1f} mm behind the inside of the skull by the CT"
-        limit = f"{LATE_MM:g} mm behind {inside_mm:.1f} mm"
-    else:
-        return ""
-    context.find(f"at {trajectory} the drill found {doubt}")
-    question = Question(
-        Topic.BREAKTHROUGH,
-        f"Does the opening at {trajectory} count as drilled? The drill is switched off, and still in it.",
-        f"{doubt}; {YES}: it is led out, and you are asked once more whether the skull is drilled; {NO}: the "
-        "step ends with the drill where it is; repeated, it leads it out, and asks before it goes in again",
-        (YES, NO),
-        trajectory=trajectory,
-        timeout_s=None,
-    )
-    if context.choose(question) == YES:
-        return doubt
-    raise GateFailed(
-        f"the operator did not accept the opening at {trajectory}",
-        limit=limit,
-        got=f"{format_against_limit(depth_mm, inside_mm, 1)} mm: {doubt}",
-        action="Nothing moves. Repeat the step: the drill is led out once that is confirmed, and drilling "
-        "goes on only after another question. Or send the arms home and drill by hand.",
-    )
+def _keep_opening(context: StepContext, earlier: CranialOpening) -> CranialOpening:
+    """Return an opening where the force fell earlier, once it counts as drilled: nothing is fed deeper."""
+    close_earlier_way(context)
+    through = "an opening was through" if earlier.broke_through else "the force fell"
+    before = f"; {through} at {earlier.depth_mm:.1f} mm earlier, and the assistant drills no further"
+    opening = accept_opening(context, earlier, before)
+    context.workcell.master.instrument.record_insertion(context.trajectory)  # the work by hand goes on
+    return opening
 
 
 def _build_opening(
-    depths: DrillDepths,
-    plan: DrillPlan,
-    over: OverGuide,
-    drilled: Inserted,
-    depth_mm: float,
-    error_N: float,
-    doubt: str,
+    depths: DrillDepths, plan: DrillPlan, over: OverGuide, drilled: Inserted, depth_mm: float, error_N: float
 ) -> CranialOpening:
-    return CranialOpening(
-        planned_outside_mm=depths.skull.outside_mm,
-        planned_inside_mm=depths.skull.inside_mm,
+    """Return an opening as the force and the joints have it; nobody has accepted it yet."""
+    skull, fell = depths.skull, drilled.broke_through
+    goes_on = skull.further_mm is not None and depth_mm < skull.further_mm - EARLY_MM
+    opening = CranialOpening(
+        planned_outside_mm=skull.outside_mm,
+        planned_inside_mm=skull.inside_mm,
+        further_inside_mm=skull.further_mm,
         deepest_mm=depths.deepest_mm,
         depth_mm=depth_mm,
-        broke_through=drilled.broke_through,
-        doubt=doubt,
+        force_fell=fell,
+        broke_through=fell and not goes_on,
+        met_bone=drilled.met_bone,
+        doubt="",
+        accepted=False,
         peak_force_N=drilled.peak_force_N or 0.0,
+        side_force_N=drilled.side_force_N,
         force_limit_N=plan.limit_N,
         force_error_N=error_N,
         drilled_s=drilled.drilled_s,
@@ -295,6 +256,7 @@ def _build_opening(
         off_axis_mm=over.off_axis_mm,
         seen_apart_mm=None if over.seen is None else over.seen.seen_mm,
     )
+    return opening.model_copy(update={"doubt": find_doubt(opening)[0]})
 
 
 def _put_drill_away(context: StepContext, guided: GuidedStretch) -> None:

@@ -74,17 +74,7 @@ def bring_over_guide(context: StepContext, tool: LoadedTool) -> OverGuide:
     Raises PRO-002, PRO-007, PLAN-007, DUAL-001 and, for a cart that was moved, as `check_room`.
     """
     workcell, assistant, trajectory = context.workcell, context.workcell.assistant, context.trajectory
-    context.rest_drill()
-    if assistant.place.is_on_axis:  # halted on its way earlier
-        workcell.start()
-        assistant.lead_out(look_back(context))
-        context.find(f"at {trajectory} what the assistant held, halted on its way in, was led out first")
-    context.request_instrument_removal()
-    known = _require_bases(context)
-    if assistant.place.is_out:  # stopped on its way earlier: a way in begins at home, so that one leads back
-        surround_at_guide(context, assistant.joints_rad(), registered_here(context))
-        workcell.start()
-        assistant.return_home()
+    known = close_earlier_way(context)
     missed = [] if assistant.place.is_home else ["at home, where it was not"]  # of the looks at its frame
     missed += _missed(context, "with the assistant home")
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
@@ -112,6 +102,26 @@ def bring_over_guide(context: StepContext, tool: LoadedTool) -> OverGuide:
     seen = _require_seen_coaxial(context, axis, missed)
     workcell.master.instrument.record_insertion(trajectory)
     return OverGuide(axis, off_axis_mm, off_axis_rad, seen)
+
+
+def close_earlier_way(context: StepContext) -> KnownBases:
+    """Have what an earlier way left in the guide led out and removed, the assistant home; return the bases.
+
+    Raises PRO-002, PRO-007 and PRO-054.
+    """
+    workcell, assistant, trajectory = context.workcell, context.workcell.assistant, context.trajectory
+    context.rest_drill()
+    if assistant.place.is_on_axis:  # halted on its way earlier
+        workcell.start()
+        assistant.lead_out(look_back(context))
+        context.find(f"at {trajectory} what the assistant held, halted on its way in, was led out first")
+    context.request_instrument_removal()
+    known = _require_bases(context)
+    if assistant.place.is_out:  # stopped on its way earlier: a way in begins at home, so that one leads back
+        surround_at_guide(context, assistant.joints_rad(), registered_here(context))
+        workcell.start()
+        assistant.return_home()
+    return known
 
 
 def look_back(context: StepContext) -> str:

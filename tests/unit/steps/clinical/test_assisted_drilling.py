@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import pytest
 
@@ -11,50 +11,92 @@ from procedures.engine.context import StepContext
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES, Topic
 from procedures.planning.skull_section import SkullSection
+from procedures.steps.clinical.results import CranialOpening
 from procedures.steps.clinical.two_arms import assisted_drilling
 from procedures.steps.clinical.two_arms.assisted_drilling import (
     BEHIND_SKULL_MM,
+    DrillDepths,
+    _build_opening,
+    _plan_feed,
+    drill_with_assistant,
+)
+from procedures.steps.clinical.two_arms.over_guide import OverGuide
+from procedures.steps.clinical.two_arms.skull_opening import (
     EARLY_MM,
     LATE_MM,
-    DrillDepths,
-    _accept_breakthrough,
-    _require_bone,
-    drill_with_assistant,
+    accept_opening,
+    describe_opening,
+    require_bone,
 )
 from procedures.steps.clinical.work_progress import DepthStop
 from ronna_hw.devices.contact import Inserted
 
 INSIDE_MM = 12.5
 DEPTHS = DrillDepths(SkullSection(5.7, INSIDE_MM), 100.0)
+TWO_READINGS = DrillDepths(SkullSection(5.7, 7.6, "a gap", 12.5), 100.0)
 STOP = DepthStop(bore_mm=80.0, standoff_mm=10.0, depth_mm=60.0, computed_mm=150.0, read_mm=150.0)
+OVER = OverGuide(cast("Any", None), 0.04, 0.0, None)
 
 
-def drilled(*, through: bool = True) -> Inserted:
-    return Inserted(cast("Any", None), 10.0, 15.0, broke_through=through)
+def drilled(
+    depth_mm: float, depths: DrillDepths = DEPTHS, *, fell: bool = True, met_bone: bool = True
+) -> CranialOpening:
+    """The opening of a feed that ended there, as nobody has judged it yet."""
+    inserted = Inserted(
+        cast("Any", None), 10.0, 15.0 if met_bone else 1.4, broke_through=fell, met_bone=met_bone
+    )
+    return _build_opening(depths, _plan_feed(depths, 30.0, 7.7), OVER, inserted, depth_mm, 1.0)
 
 
-def asked_context(answer: str) -> tuple[StepContext, list[Any], list[str]]:
-    asked, found = list[Any](), list[str]()
+class AskedContext(NamedTuple):
+    """Context of a step whose questions have one answer, what was asked, found, and kept of openings."""
+
+    context: StepContext
+    asked: list[Any]
+    found: list[str]
+    openings: list[Any]
+
+
+def asked_context(answer: str, recorded: CranialOpening | None = None) -> AskedContext:
+    asked, found, openings = list[Any](), list[str](), list[Any]()
 
     def choose(question: Any) -> str:
         asked.append(question)
         return answer
 
-    fields = {"trajectory": "T1", "choose": choose, "find": found.append}
-    return cast("StepContext", SimpleNamespace(**fields)), asked, found
+    stages = SimpleNamespace(
+        record_opening=lambda _name, opening: openings.append(opening),
+        opening_at=lambda _name: None if recorded is None else recorded.model_dump(mode="json"),
+        interruption_at=lambda _name: None,
+    )
+    instrument = SimpleNamespace(stages=stages, record_insertion=lambda _name: None)
+    assistant = SimpleNamespace(senses_force=True, force_error_N=1.0)
+    planned = SimpleNamespace(trajectory=lambda _name: SimpleNamespace(trajectory=None))
+    fields = {
+        "trajectory": "T1",
+        "choose": choose,
+        "find": found.append,
+        "result": lambda _kind: planned,
+        "setting": SimpleNamespace(settings=SimpleNamespace(assistant_drills=True, drill_force_N=30.0)),
+        "workcell": SimpleNamespace(master=SimpleNamespace(instrument=instrument), assistant=assistant),
+    }
+    return AskedContext(cast("StepContext", SimpleNamespace(**fields)), asked, found, openings)
 
 
 @pytest.mark.hazard(65)
 @pytest.mark.parametrize("off_mm", [-EARLY_MM + 0.1, 0.0, LATE_MM - 0.1])
 def test_a_breakthrough_where_the_ct_has_the_inside_is_not_asked_about(off_mm: float) -> None:
-    context, asked, _ = asked_context(NO)
-    assert not _accept_breakthrough(context, DEPTHS, drilled(), INSIDE_MM + off_mm)
-    assert not asked
+    case = asked_context(NO)
+    accepted = accept_opening(case.context, drilled(INSIDE_MM + off_mm))
+    assert accepted.accepted
+    assert accepted.broke_through
+    assert not accepted.doubt
+    assert not case.asked
 
 
 @pytest.mark.hazard(65)
 @pytest.mark.parametrize(
-    ("through", "depth_mm", "said"),
+    ("fell", "depth_mm", "said"),
     [
         (True, INSIDE_MM - EARLY_MM - 0.5, r"1\.5 mm before the inside"),
         (True, INSIDE_MM + LATE_MM + 0.3, r"2\.3 mm behind the inside"),
@@ -62,14 +104,60 @@ def test_a_breakthrough_where_the_ct_has_the_inside_is_not_asked_about(off_mm: f
     ],
     ids=["too early", "too late", "none"],
 )
-def test_a_breakthrough_elsewhere_is_for_the_operator(through: bool, depth_mm: float, said: str) -> None:
-    context, asked, found = asked_context(NO)
+def test_a_breakthrough_elsewhere_is_for_the_operator(fell: bool, depth_mm: float, said: str) -> None:
+    refused, accepted = asked_context(NO), asked_context(YES)
     with pytest.raises(GateFailed, match=said):
-        _accept_breakthrough(context, DEPTHS, drilled(through=through), depth_mm)
-    assert [question.topic for question in asked] == [Topic.BREAKTHROUGH]
-    assert len(found) == 1
-    context, _, _ = asked_context(YES)
-    assert _accept_breakthrough(context, DEPTHS, drilled(through=through), depth_mm) in found[0]
+        accept_opening(refused.context, drilled(depth_mm, fell=fell))
+    assert [question.topic for question in refused.asked] == [Topic.BREAKTHROUGH]
+    assert len(refused.found) == 1
+    assert not refused.openings
+    opening = accept_opening(accepted.context, drilled(depth_mm, fell=fell))
+    assert opening.doubt in accepted.found[0]
+    assert accepted.openings[-1]["accepted"] is True
+
+
+@pytest.mark.hazard(65)
+def test_a_fall_in_what_may_be_the_diploe_is_no_breakthrough_and_both_readings_are_asked_about() -> None:
+    opening = drilled(8.6, TWO_READINGS)
+    assert opening.force_fell
+    assert not opening.broke_through
+    assert opening.deepest_mm == pytest.approx(7.6 + BEHIND_SKULL_MM)
+    case = asked_context(YES)
+    accepted = accept_opening(case.context, opening)
+    assert "at 7.6 mm, or bone up to 12.5 mm, of which 3.9 mm are left" in case.asked[0].value
+    words = describe_opening(accepted)
+    assert words.startswith("the force fell at 8.6 mm behind the entry (inside of the skull by the CT 7.6 or")
+    assert "through" not in words
+
+
+@pytest.mark.hazard(65)
+@pytest.mark.parametrize("answer", [YES, NO])
+@pytest.mark.parametrize(
+    ("before", "said"),
+    [
+        (drilled(11.4), "an opening was through at 11.4 mm"),
+        (drilled(8.6, TWO_READINGS), "the force fell at 8.6"),
+    ],
+)
+def test_where_the_force_fell_a_repetition_feeds_no_deeper_and_names_what_it_found(
+    monkeypatch: pytest.MonkeyPatch, before: CranialOpening, said: str, answer: str
+) -> None:
+    monkeypatch.setattr(assisted_drilling, "volume_of", lambda _context: None)
+    monkeypatch.setattr(assisted_drilling, "measure_skull", lambda *_args: DEPTHS.skull)
+    closed: list[Any] = []
+    monkeypatch.setattr(assisted_drilling, "close_earlier_way", closed.append)
+    case = asked_context(answer, before)  # its assistant has no motions at all
+    if answer == NO:
+        with pytest.raises(GateFailed, match=said) as refused:
+            drill_with_assistant(case.context, STOP)
+        assert "drills no further there" in refused.value.action
+    else:
+        opening = drill_with_assistant(case.context, STOP)
+        assert opening is not None
+        assert opening.accepted
+        assert opening.depth_mm == before.depth_mm
+    assert said in case.asked[0].value
+    assert len(closed) == 1
 
 
 @pytest.mark.parametrize(
@@ -117,18 +205,30 @@ def test_a_hand_drills_where_the_assistant_cannot(
 
 
 @pytest.mark.hazard(66)
-def test_a_drill_that_felt_no_bone_is_no_opening_and_nobody_is_asked() -> None:
-    context, asked, _ = asked_context(YES)
-    felt_none = Inserted(cast("Any", None), 4.0, 1.4, met_bone=False)
-    with pytest.raises(GateFailed, match=r"felt no bone.*at most 1\.4 N up to 7\.7 mm"):
-        _require_bone(context, DEPTHS, felt_none, 7.7)
-    _require_bone(context, DEPTHS, drilled(), INSIDE_MM)
-    assert not asked
+@pytest.mark.parametrize(
+    ("begun_mm", "said"),
+    [
+        (None, "felt no bone; expected 4 N behind the outside"),
+        (5.0, "no bone below an opening begun earlier"),
+    ],
+)
+def test_a_drill_that_felt_no_bone_is_no_opening_and_nobody_is_asked(
+    begun_mm: float | None, said: str
+) -> None:
+    case = asked_context(YES)
+    with pytest.raises(GateFailed, match=f"{said}.*at most 1\\.4 N up to 7\\.7 mm"):
+        require_bone(case.context, drilled(7.7, fell=False, met_bone=False), begun_mm)
+    require_bone(case.context, drilled(INSIDE_MM), begun_mm)
+    assert not case.asked
 
 
 @pytest.mark.hazard(66)
-@pytest.mark.parametrize(("begun_mm", "bone_by_mm"), [(None, 7.7), (7.8, 7.7), (10.0, 12.0)])
+@pytest.mark.parametrize(
+    ("begun_mm", "met_bone", "bone_by_mm"),
+    [(None, True, 7.7), (7.8, True, 7.7), (10.0, True, 12.0), (10.0, False, 10.0), (13.4, True, 14.5)],
+    ids=["first", "blind", "in bone", "blind below it", "near its end"],
+)
 def test_bone_is_felt_by_2_mm_behind_its_outside_or_behind_an_opening_begun_in_bone(
-    begun_mm: float | None, bone_by_mm: float
+    begun_mm: float | None, met_bone: bool, bone_by_mm: float
 ) -> None:
-    assert DEPTHS.bone_by_mm(begun_mm) == pytest.approx(bone_by_mm)
+    assert DEPTHS.bone_by_mm(begun_mm, met_bone=met_bone) == pytest.approx(bone_by_mm)
