@@ -28,7 +28,8 @@ from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, PathCheck, Reached
-from procedures.registration.arm_learning import predict_before_looks, share_by_sphere
+from procedures.registration.arm_adjustment import predict_before_looks
+from procedures.registration.arm_hypotheses import share_by_sphere
 from procedures.registration.target_prediction import (
     IndependentErrors,
     SharedErrors,

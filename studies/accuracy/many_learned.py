@@ -1,8 +1,6 @@
-"""Adjustment of many arms in the same poses, as `ArmLearning` adjusts one, and their plain registration.
+"""Registrations of many arms in the same poses: one that learns the arm, and the plain one.
 
-All that depends on the poses alone is computed once: under each hypothesis, the weights of the residuals, the
-influence of the looks on every target and the covariance there. The formulas are those of `arm_learning`,
-implemented a second time for arrays: a test compares the two.
+All that depends on the poses alone is computed once. The adjustment is that of a case, `arm_adjustment`.
 """
 
 from __future__ import annotations
@@ -12,14 +10,13 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.special import logsumexp
 
-from procedures.registration.arm_learning import ACCEPTABLE, HYPOTHESES, PRIOR, Source, covariance_of
+from procedures.registration.arm_adjustment import PlannedAdjustment, PlannedTarget
+from procedures.registration.arm_hypotheses import Source, covariance_of
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, chi_square_limit, error_limit_mm
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import (
     WIDENED_BEYOND,
-    SharedErrors,
     influence_of_spheres,
     predict_by_influence,
 )
@@ -62,63 +59,32 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class PlannedAdjustment:
-    """Looks (m,) prepared under all hypotheses, with the influence on `t` targets."""
+class LearnedRegistration:
+    """Registration that learns the arm from its looks (m,), for `t` targets."""
 
-    log_odds: Array  # (h,) of each hypothesis, for residuals of zero
-    weights: Array  # (h, 3m, 3m) of the residuals, excluding what a pose explains
-    influences: Array  # (t, h, 3, 3m)
-    covariances_mm2: Array  # (t, h, 3, 3)
+    planned: PlannedAdjustment
+    targets: tuple[PlannedTarget, ...]
 
     @classmethod
     def of(cls, points_mm: Array, targets: Sequence[TargetSources]) -> Self:
         """Prepare looks at points (m, 3) mm; the sources of every target are the same at the looks."""
-        centre, scatter = points_mm.mean(axis=0), np.eye(AXES * len(points_mm))
-        pose = pose_jacobian(points_mm, centre).reshape(-1, 6)
-        arm_mm2, others_mm2 = (covariance_of(one) for one in (targets[0].arm, targets[0].others))
-        together = [_covariance_with(one.arm) for one in targets]
-        at_target = [pose_jacobian(one.target_mm, centre) for one in targets]
-        apart = [(_covariance_at(one.arm), _covariance_at(one.others)) for one in targets]
-        log_odds, weights, influences, covariances = [], [], [], []
-        for one, prior in zip(HYPOTHESES, PRIOR, strict=True):
-            covariance = one.share**2 * arm_mm2 + others_mm2 + one.scatter_mm**2 * scatter
-            information = np.linalg.inv(covariance)
-            on_pose = information @ pose
-            normal = pose.T @ on_pose
-            weights.append(information - on_pose @ np.linalg.solve(normal, on_pose.T))
-            log_odds.append(prior - 0.5 * (np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(normal)[1]))
-            for target, jacobian, (own_arm, own_others) in zip(together, at_target, apart, strict=True):
-                common = one.share**2 * target.T
-                explained = common @ information
-                missing = np.linalg.solve(normal, (jacobian - explained @ pose).T).T
-                influence = explained + missing @ on_pose.T
-                crossed = influence @ common.T
-                own = one.share**2 * own_arm + own_others + one.scatter_mm**2 * np.eye(AXES)
-                influences.append(influence)
-                covariances.append(own - crossed - crossed.T + influence @ covariance @ influence.T)
-        shape = (len(HYPOTHESES), len(targets), AXES, -1)
         return cls(
-            np.array(log_odds),
-            np.array(weights),
-            np.array(influences).reshape(shape).swapaxes(0, 1),
-            np.array(covariances).reshape(shape).swapaxes(0, 1),
+            PlannedAdjustment.of(points_mm, targets[0].arm, targets[0].others),
+            tuple(PlannedTarget.of(points_mm, one.target_mm, one.arm, one.others) for one in targets),
         )
 
     def judge(self, residuals_mm: Array) -> Judged:
         """Adjust `a` arms by their residuals (a, m, 3)."""
         flat = residuals_mm.reshape(len(residuals_mm), -1)
-        chi_squares = np.einsum("ai,hij,aj->ah", flat, self.weights, flat, optimize=True)
-        log_odds = self.log_odds - 0.5 * chi_squares
-        odds = np.exp(log_odds - logsumexp(log_odds, axis=1, keepdims=True))
-        shifts = np.einsum("thij,aj->ahti", self.influences, flat)
-        mean = np.einsum("ah,ahti->ati", odds, shifts)
-        apart = shifts - mean[:, None]
-        covariances = np.einsum("ah,thij->atij", odds, self.covariances_mm2)
-        covariances = covariances + np.einsum("ah,ahti,ahtj->atij", odds, apart, apart)
-        arms = np.arange(len(flat))
-        best, accepted = odds.argmax(axis=1), np.where(ACCEPTABLE, odds, -1.0).argmax(axis=1)
+        judged = self.planned.judge(flat)
+        shifts, parts = zip(*(one.correct(flat, judged.probabilities) for one in self.targets), strict=True)
+        covariances = [np.sum(list(by_source.values()), axis=0) for by_source in parts]
         return Judged(
-            mean, covariances, chi_squares[arms, best], chi_squares[arms, accepted], flat.shape[1] - 6
+            np.stack(shifts, axis=1),
+            np.stack(covariances, axis=1),
+            judged.most_probable,
+            judged.acceptable,
+            flat.shape[1] - 6,
         )
 
 
@@ -166,24 +132,3 @@ def _without_pose(information: Array, pose: Array) -> Array:
     """Return the information (3m, 3m) of residuals, excluding what a pose explains."""
     on_pose = information @ pose
     return np.asarray(information - on_pose @ np.linalg.solve(pose.T @ on_pose, on_pose.T))
-
-
-def _covariance_with(sources: Sequence[Source]) -> Array:
-    """Return the covariance (3m, 3) mm2 of all looks with the target."""
-    found: Array = np.zeros((1, 1))
-    for one in sources:
-        if isinstance(one, SharedErrors):
-            columns = one.at_spheres_mm.reshape(-1, one.at_spheres_mm.shape[-1])
-            found = found + columns @ one.at_target_mm.T
-    return found
-
-
-def _covariance_at(sources: Sequence[Source]) -> Array:
-    """Return the covariance (3, 3) mm2 of the tool at the target."""
-    found: Array = np.zeros((AXES, AXES))
-    for one in sources:
-        if isinstance(one, SharedErrors):
-            found = found + one.at_target_mm @ one.at_target_mm.T
-        else:
-            found = found + one.at_target_mm2
-    return found

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import REPEATABILITY_MM, SERVO_MM, ArmPoses, arm_sources, ct_errors
-from procedures.registration.arm_learning import Source, share_by_sphere
+from procedures.registration.arm_hypotheses import Source, share_by_sphere
 from procedures.registration.look_choice import Candidates, choose_looks
 from procedures.strategies.catalogue import CANDIDATES, find_strategy
 from procedures.strategies.names import DEFAULT_STRATEGY

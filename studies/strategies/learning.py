@@ -23,7 +23,7 @@ from procedures.registration.rigid_fit import fit_rigid, residuals
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM
 from ronna_hw.errors import RonnaError
-from studies.accuracy.many_learned import PlainRegistration, PlannedAdjustment
+from studies.accuracy.many_learned import LearnedRegistration, PlainRegistration
 from studies.accuracy.phantom import FREE_SPHERES, Markers, Phantom, counts_of, draw_phantom, phantom_pose
 from studies.accuracy.postures import ARM
 from studies.accuracy.random_arms import PlannedPoses, RandomArms, centre_on_spheres, reach_positions
@@ -207,7 +207,9 @@ class Prepared:
 
     looks: PlannedLooks
     seconds: Array
-    registrations: tuple[tuple[tuple[int, ...], NDArray[np.intp], PlannedAdjustment | PlainRegistration], ...]
+    registrations: tuple[
+        tuple[tuple[int, ...], NDArray[np.intp], LearnedRegistration | PlainRegistration], ...
+    ]
 
     @classmethod
     def of(cls, planner: CasePlanner, looks: PlannedLooks, *, learns: bool) -> Prepared:
@@ -221,7 +223,7 @@ class Prepared:
             used = np.array(key, dtype=np.intp)
             points_mm, sources = planner.sources(ordered, used, targets)
             made = (
-                PlannedAdjustment.of(points_mm, sources)
+                LearnedRegistration.of(points_mm, sources)
                 if learns
                 else PlainRegistration.of(points_mm, sources, arm_mm)
             )

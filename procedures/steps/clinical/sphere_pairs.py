@@ -17,14 +17,8 @@ import numpy as np
 from procedures.calibration.arm_sources import REPEATABILITY
 from procedures.engine.context import StepContext
 from procedures.registration import Registration, register
-from procedures.registration.arm_learning import (
-    ArmLearning,
-    LearnedTarget,
-    Looks,
-    Source,
-    at_looks,
-    share_by_sphere,
-)
+from procedures.registration.arm_hypotheses import Source, at_looks, share_by_sphere
+from procedures.registration.arm_learning import ArmLearning, LearnedTarget, Looks
 from procedures.registration.error_theory import FreGate, chi_square_limit
 from procedures.registration.errors import CollinearPoints
 from procedures.registration.points import FEWEST_PAIRS

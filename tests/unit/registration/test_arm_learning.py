@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from procedures.registration.arm_learning import (
+from procedures.registration.arm_adjustment import best_influence
+from procedures.registration.arm_hypotheses import (
     HYPOTHESES,
     STATED,
-    ArmLearning,
     Hypothesis,
-    Looks,
     Source,
     at_looks,
-    best_influence,
     share_by_sphere,
 )
+from procedures.registration.arm_learning import ArmLearning, Looks
 from procedures.registration.error_theory import chi_square_limit
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import (
@@ -26,7 +25,7 @@ from procedures.registration.target_prediction import (
     predict_by_influence,
 )
 from ronna_hw.arrays import Array
-from studies.accuracy.many_learned import PlannedAdjustment, TargetSources
+from studies.accuracy.many_learned import LearnedRegistration, TargetSources
 
 SPHERES = np.array([[80.0, 0, 0], [0, 90, 20], [-70, -10, 40], [10, -80, 0], [-40, 60, -30]])
 TARGET = np.array([5.0, 10.0, -40.0])
@@ -104,7 +103,7 @@ def test_the_limit_holds_on_arms_better_and_worse_than_stated(share: float) -> N
     arm, others = arm_errors(10), other_errors()
     drawn = [draw_residuals(random, arm, share) for _ in range(500)]
     residuals, at_target = (np.array(one) for one in zip(*drawn, strict=True))
-    judged = PlannedAdjustment.of(points, [TargetSources(TARGET, [arm], others)]).judge(residuals)
+    judged = LearnedRegistration.of(points, [TargetSources(TARGET, [arm], others)]).judge(residuals)
     plain = np.einsum("nij,anj->ai", influence_of_spheres(points, TARGET), residuals)
     learned_mm, plain_mm = (
         np.linalg.norm(one + at_target, axis=1) for one in (judged.shifts_mm[:, 0], plain)
@@ -168,18 +167,3 @@ def test_a_hypothesis_scales_the_arm_alone_and_adds_its_scatter_everywhere() -> 
     np.testing.assert_allclose(scaled.at_target_mm, 2.0 * arm.at_target_mm)
     assert other is noise
     np.testing.assert_allclose(lacking.at_spheres_mm2, np.tile(np.eye(3) * 0.06**2, (4, 1, 1)))
-
-
-def test_many_arms_at_once_are_adjusted_as_each_alone() -> None:
-    random, points = np.random.default_rng(5), SPHERES[list(TWICE)]
-    arm: list[Source] = [arm_errors(10)]
-    others = other_errors()
-    residuals = np.array([draw_residuals(random, arm_errors(10), share)[0] for share in (0.4, 1.0, 3.0)])
-    judged = PlannedAdjustment.of(points, [TargetSources(TARGET, arm, others)]).judge(residuals)
-    for number, one in enumerate(residuals):
-        learned = ArmLearning.of(Looks(one, points, arm, others))
-        alone = learned.at_target(TARGET, arm, others)
-        np.testing.assert_allclose(judged.shifts_mm[number, 0], alone.shift_mm, atol=1e-9)
-        np.testing.assert_allclose(judged.limits_mm()[number, 0], alone.prediction.limit_mm(), rtol=1e-9)
-        assert judged.chi_squares[number] == pytest.approx(learned.residual.chi_square)
-        assert judged.freedom == learned.residual.freedom

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from procedures.registration.arm_learning import Source, best_influence, share_by_sphere
+from procedures.registration.arm_adjustment import best_influence
+from procedures.registration.arm_hypotheses import Source, share_by_sphere
 from procedures.registration.look_choice import Candidates, ChosenLooks, choose_looks
 from procedures.registration.target_prediction import IndependentErrors, SharedErrors, predict_by_influence
 from ronna_hw.arrays import Array

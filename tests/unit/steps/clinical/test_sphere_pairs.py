@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.journal.results import FramedPose
 from procedures.planning.target_error import SCAN
-from procedures.registration.arm_learning import LACKING
+from procedures.registration.arm_hypotheses import LACKING
 from procedures.registration.target_prediction import AllowedErrors, IndependentErrors, SharedErrors
 from procedures.steps.clinical.path_check import LocalizationPose
 from procedures.steps.clinical.sphere_pairs import (
