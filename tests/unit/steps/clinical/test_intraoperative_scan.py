@@ -29,11 +29,9 @@ from procedures.operator.question import Question, Topic
 from procedures.planning.target_error import scan_errors
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 from procedures.steps.clinical import intraoperative_scan
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.fiducial_localization import PLACE, IntraoperativeSpheres, LocalizedFiducials
 from procedures.steps.clinical.intraoperative_scan import (
-    PLACE,
     STEP,
-    IntraoperativeSpheres,
     find_unused,
     localize_whole,
     number_spheres,
