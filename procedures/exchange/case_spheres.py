@@ -9,6 +9,7 @@ from typing import Self
 from procedures.engine.case import Stored, results_of
 from procedures.steps.clinical.fiducial_localization import IntraoperativeSpheres, LocalizedFiducials
 from ronna_hw.calibration import Numbers3
+from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.records import Record
 
 
@@ -26,16 +27,14 @@ class CaseSpheres:
         return cls(found[-1], _places_in_ct(found)) if found else None
 
     @classmethod
-    def of_registration(
-        cls, registration: Record, valid: Iterable[Record], made: Iterable[Record]
-    ) -> Self | None:
+    def of_registration(cls, registration: Record, run: Inspection) -> Self | None:
         """Return the spheres that a registration was fitted to, by its parents; else the last valid ones.
 
         Raises REC-001, REC-003.
         """
-        found = results_of(LocalizedFiducials, made)
+        found = results_of(LocalizedFiducials, run.records)
         used = [one for one in found if one.record.identifier in registration.parents]
-        return cls(used[-1], _places_in_ct(found)) if used else cls.of(valid)
+        return cls(used[-1], _places_in_ct(found)) if used else cls.of(run.valid_records)
 
     @property
     def are_scanned(self) -> bool:

@@ -97,7 +97,7 @@ class RegistrationInCt:
 def registration_in_ct(reading: RunReading, used: UsedRegistration, target: str) -> RegistrationInCt:
     """Build the registration used for a target. Raises REC-001, REC-003."""
     fit, run = used.stored.result, reading.run
-    spheres = CaseSpheres.of_registration(used.stored.record, run.valid_records, run.records)
+    spheres = CaseSpheres.of_registration(used.stored.record, run)
     centres_mm = np.zeros((0, 3)) if spheres is None else spheres.used.result.centres_mm
     shown = () if spheres is None else spheres.used.result.shown
     planning_mm = {} if spheres is None else spheres.planning_ct_mm

@@ -197,7 +197,7 @@ class RegisteredRobot(StepResult, kind="registration"):
         return pose.displace(corrections_mm[trajectory])
 
     def correction_mm(self, trajectory: str | None) -> Numbers3:
-        """Return the way from a target's place by `robot_from_ct` to that commanded, robot frame; else zero."""
+        """Return the correction learned for a target, (3,) mm, robot frame; zero without one."""
         corrections_mm = {} if self.learned is None else self.learned.corrections_mm
         return corrections_mm.get(trajectory or "", (0.0, 0.0, 0.0))
 

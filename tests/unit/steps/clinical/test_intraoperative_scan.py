@@ -15,7 +15,7 @@ from pydicom import dcmread
 from scanned_head import PLACE_SIGMA_MM, scanned_spheres
 from scipy.spatial.transform import RigidTransform
 
-from procedures.engine.case import results_of
+from procedures.engine.case import results_of, stand_ins
 from procedures.engine.context import StepContext
 from procedures.engine.methods import CaseMethods
 from procedures.fusion.record import FusedPose
@@ -100,6 +100,14 @@ def test_no_more_spheres_are_expected_in_the_room_than_the_scan_shows() -> None:
     assert scanned_spheres().count_expected(5) == 4
 
 
+@pytest.mark.hazard(68)
+def test_results_that_stand_in_for_others_are_defined_beside_them_so_that_every_reader_knows_them() -> None:
+    for model in (step.result for step in clinical_steps(intraoperative=True)):
+        for stand_in in stand_ins(model).values():
+            assert stand_in.__module__ == model.__module__
+
+
+@pytest.mark.hazard(68)
 def test_a_record_of_the_scan_is_read_where_spheres_of_the_ct_are_asked_for() -> None:
     result = scanned_spheres()
     record = Record(
