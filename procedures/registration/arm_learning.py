@@ -52,10 +52,10 @@ class Looks:
     others: Sequence[Source]
 
 
-# Of a correction, as a multiple of the rms error there that is stated of the arm and predicted of the rest.
-# 999 of 1,000 arms that err twice as much as stated, alike along all axes, need less: 2 x 2.33.
+# Of a correction, as a multiple of the rms error there that is stated of the arm and predicted of the rest: the
+# rms of the largest arm that is accepted. Arms twice as bad as stated needed 1.9 at most.
 # Safety against a wrong learned correction. Source: simulated arms.
-LARGEST_CORRECTION = 5.0
+LARGEST_CORRECTION = 3.0
 
 
 @dataclass(frozen=True)
