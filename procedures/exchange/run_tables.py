@@ -89,6 +89,15 @@ LOCALIZED = (
     RunColumn("step", str, "step that localized it, such as `relocalization:T1`"),
     RunColumn("standing", bool, "whether the result still holds; False once another took its place"),
     RunColumn("sphere", str, "its name in `spheres`"),
+    RunColumn(
+        "axis", str, "of the look, as the path check names it, such as `T1` or `T1 jdms`; empty without one"
+    ),
+    RunColumn(
+        "robot_from_tool_wxyz",
+        float,
+        "planned rotation robot <- tool, scalar first; NaN without a path check",
+        (4,),
+    ),
     RunColumn("centre_robot_mm", float, "its centre by the stereo head", (3,)),
     RunColumn("stereo_covariance_robot_mm2", float, "of the stereo measurement alone: no arm, no CT", (3, 3)),
     RunColumn(
@@ -198,15 +207,24 @@ def localized_table(run: Inspection) -> RunTable:
     """Return one row per sphere and fine localization. Raises REC-001, REC-003."""
     rows = []
     totals_mm2 = _find_total_covariances_mm2(run)
+    checks = {stored.record.identifier: stored.result for stored in results_of(CheckedPaths, run.records)}
     for stored in results_of(Relocalization, run.records):
         one, record = stored.result, stored.record
         step = ":".join(filter(None, (record.kind, record.trajectory)))
         standing = record.identifier not in run.superseded
-        for index, fiducial in enumerate(one.fiducials):
+        paths = next((checks[parent] for parent in record.parents if parent in checks), None)
+        planned = [] if paths is None else paths.looks_for(record.trajectory)
+        rotations = {(axis, look.fiducial): (axis, look.tool_pose.quaternion_wxyz) for axis, look in planned}
+        only_axis = planned[0][0] if planned else ""
+        axes = one.axes or (only_axis,) * len(one.fiducials)
+        for index, (fiducial, axis) in enumerate(zip(one.fiducials, axes, strict=True)):
+            turned = rotations.get((axis, fiducial), ("", (math.nan,) * 4))
             total_mm2 = totals_mm2.get((record.identifier, fiducial), UNKNOWN_COVARIANCE)
             place = (one.points_robot_mm[index], one.covariances_mm2[index], total_mm2)
             servo = (one.residuals_mm[index][-1], one.ray_gaps_mm[index], one.looks[index])
-            rows.append((step, standing, sphere_name(fiducial), *place, *servo, one.joints_rad[index]))
+            rows.append(
+                (step, standing, sphere_name(fiducial), *turned, *place, *servo, one.joints_rad[index])
+            )
     return RunTable.of(_with_axes(LOCALIZED, len(rows[0][-1]) if rows else AXES), rows)
 
 

@@ -7,7 +7,7 @@ a case asks of it: the size of the arm's errors, the places of the spheres, corr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -27,6 +27,7 @@ from procedures.registration.arm_hypotheses import (
     covariance_at_target,
     covariance_of,
 )
+from procedures.registration.moved_together import MovedTogether
 from procedures.registration.target_prediction import (
     AXES,
     IndependentErrors,
@@ -52,8 +53,8 @@ class Looks:
     others: Sequence[Source]
 
 
-# Of a correction, as a multiple of the rms error there that is stated of the arm and predicted of the rest: the
-# rms of the largest arm that is accepted. Arms twice as bad as stated needed 1.9 at most.
+# Of a correction, as a multiple of the rms error there that is stated of the arm and predicted of the rest:
+# the rms of the largest arm that is accepted. Arms twice as bad as stated needed 1.9 at most.
 # Safety against a wrong learned correction. Source: simulated arms.
 LARGEST_CORRECTION = 3.0
 
@@ -107,7 +108,10 @@ class ArmLearning:
 
     @cached_property
     def acceptable(self) -> ResidualCheck:
-        """Residual under the most probable hypothesis that an arm is accepted with, for the gate."""
+        """Residual under the most probable hypothesis that an arm is accepted with, for the gate.
+
+        The largest of these hypotheses would leave less, and explain a moved sphere as well.
+        """
         return self._check(self.judged.acceptable)
 
     @cached_property
@@ -155,8 +159,9 @@ class ArmLearning:
         """Find the sphere whose displacement moves a target (3,) mm furthest with chi-square in its limit.
 
         `rows` are the looks at each sphere, `sources` all errors under the stated sizes, `most_mm` bounds the
-        displacement. A moved sphere makes large errors of the arm more probable, so chi-square is that of the
-        largest with which an arm is accepted. See `target_prediction.find_unnoticed_point`.
+        displacement. A moved sphere makes large errors of the arm more probable. Chi-square is that of the
+        largest with which an arm is accepted, which leaves the smallest residual: an upper bound of what
+        passes the gate. See `target_prediction.find_unnoticed_point`.
         """
         looks, widest = len(self.looks.points_mm), int(np.flatnonzero(ACCEPTABLE)[-1])
         weight = self.planned.weights[widest].reshape(looks, AXES, looks, AXES)
@@ -168,14 +173,29 @@ class ArmLearning:
             most_mm,
         )
 
-    def at_target(self, target_mm: Array, arm: Sequence[Source], others: Sequence[Source]) -> LearnedTarget:
+    def find_moved_together(self, rows: Mapping[str, Sequence[int]]) -> MovedTogether | None:
+        """Find two spheres that likely moved together; `rows` are the looks at each sphere, by its name."""
+        residuals = self.looks.residuals_mm.reshape(-1)
+        return MovedTogether.find(self.planned, residuals, self.probabilities, rows)
+
+    def at_target(
+        self,
+        target_mm: Array,
+        arm: Sequence[Source],
+        others: Sequence[Source],
+        moved: MovedTogether | None = None,
+    ) -> LearnedTarget:
         """Correct and predict a target (3,) mm, given by the pose that the residuals were taken from.
 
-        The sources are those of the looks, with what they displace at this target.
+        The sources are those of the looks, with what they displace at this target. Spheres that likely moved
+        add what that does to the target.
         """
         planned = PlannedTarget.of(self.looks.points_mm, target_mm, arm, others)
         residuals = self.looks.residuals_mm.reshape(1, -1)
         shifts, parts = planned.correct(residuals, self.judged.probabilities)
         by_source = {name: part[0] for name, part in parts.items()}
+        if moved is not None:
+            influence = np.einsum("h,hij->ij", self.probabilities, planned.influences)
+            by_source[moved.source] = moved.at_target(influence)
         stated_mm = float(np.sqrt(np.trace(covariance_at_target(arm))))
         return LearnedTarget(shifts[0], planned.predict(by_source, self.residual.widening), stated_mm)

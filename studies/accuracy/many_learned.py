@@ -13,6 +13,7 @@ import numpy as np
 
 from procedures.registration.arm_adjustment import PlannedAdjustment, PlannedTarget
 from procedures.registration.arm_hypotheses import Source, covariance_of
+from procedures.registration.error_sources import TOOL_FRAME
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, chi_square_limit, error_limit_mm
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import (
@@ -25,7 +26,6 @@ from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM
 
 AXES = 3
-TOOL_FRAME = "tool frame"  # the source whose share the gate of a case takes as common to all looks
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,15 @@ class Judged:
         """Mark the arms (a,) whose residual is beyond its limit of this confidence."""
         return np.asarray(self.gated > chi_square_limit(self.freedom, confidence))
 
+    @property
+    def widening(self) -> Array:
+        """Factors (a,) on the limits: 1 unless the residual is too large."""
+        is_wide = self.chi_squares > chi_square_limit(self.freedom, WIDENED_BEYOND)
+        return np.where(is_wide, np.sqrt(self.chi_squares / self.freedom), 1.0)
+
     def limits_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> Array:
         """Return the limits (a, t) of the errors, widened where the residual is too large."""
-        is_wide = self.chi_squares > chi_square_limit(self.freedom, WIDENED_BEYOND)
-        widening = np.where(is_wide, np.sqrt(self.chi_squares / self.freedom), 1.0)
-        return widening[:, None] * error_limit_mm(self.covariances_mm2, confidence)
+        return self.widening[:, None] * error_limit_mm(self.covariances_mm2, confidence)
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,9 @@ class PlainRegistration:
         arm, others = targets[0].arm, targets[0].others
         weight = _without_pose(np.asarray(np.linalg.inv(covariance_of([*arm, *others]))), pose)
         reserve = np.kron(np.eye(len(points_mm)), arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm))
-        tool = [one for one in arm if one.source == TOOL_FRAME]
+        tool = [
+            one for one in arm if one.source == TOOL_FRAME
+        ]  # common to all looks, as the gate of a case has it
         gate_weight = _without_pose(
             np.asarray(np.linalg.inv(covariance_of([*tool, *others]) + reserve)), pose
         )

@@ -26,6 +26,7 @@ from procedures.imaging.scan_deformation import require_undeformed
 from procedures.intraoperative.bone_pose import PoseEstimate
 from procedures.journal.results import StepResult, Values
 from procedures.planning.target_error import scan_errors
+from procedures.registration.error_sources import SCAN_PLACE
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
@@ -33,7 +34,6 @@ from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 from ronna_hw.evidence.manifest import sha256_of
 
-PLACE = "place of the scan in the CT"
 PICTURED_DOUBTFUL = 6  # the likeliest; more would hide the markers in the report
 SixVectors = Annotated[tuple[Numbers3, ...], Field(min_length=6, max_length=6)]
 
@@ -219,7 +219,7 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
         pose = estimate_of(self)
         sizes = np.linalg.cholesky(pose.covariance)
         there_mm = rotation @ pose.displacements(np.array(target_mm))[0] @ sizes
-        return (SharedErrors(PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
+        return (SharedErrors(SCAN_PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
 
 
 def hash_series(series: Path) -> str:

@@ -17,8 +17,6 @@ from procedures.journal.results import FramedPose
 from procedures.operator.margin import MarginVerdict
 from procedures.operator.question import Picture, PredictedError, Question, Topic
 from procedures.planning.guide import (
-    DIRECTION,
-    INSTRUMENT,
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
@@ -26,6 +24,15 @@ from procedures.planning.plan_model import PlannedTrajectory
 from procedures.planning.target_error import fusion_errors
 from procedures.registration import Registration, RoomPoint, TwoWayTable, verify_two_way
 from procedures.registration.arm_learning import LARGEST_CORRECTION, LearnedTarget
+from procedures.registration.error_sources import (
+    CT,
+    DIRECTION,
+    GUIDE_TIP,
+    INSTRUMENT,
+    SEATING,
+    STEREO,
+    STEREO_HEAD,
+)
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import IndependentErrors
@@ -46,7 +53,7 @@ from procedures.steps.clinical.results import (
     RegisteredRobot,
     Relocalization,
 )
-from procedures.steps.clinical.sphere_pairs import CT, SEATING, STEREO, Pairs, pairs_of
+from procedures.steps.clinical.sphere_pairs import Pairs, pairs_of
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
@@ -218,9 +225,10 @@ def predict_tip_error(
 ) -> tuple[Prediction, Array]:
     """Predict the tip's error at a target from the errors of spheres, arm, guide, instrument and fusion.
 
-    Also returns how far (3,) mm its commanded place is off that by the fit, for what was learned of the arm.
+    Also returns how far (3,) mm, robot frame now, its commanded place is off that by the fit and a followed
+    `move`, for what was learned of the arm.
 
-    Of errors common to spheres and target, only the remainder counts. A followed `move` adds its own error.
+    Of errors common to spheres and target, only the remainder counts. A followed move adds its own error.
     If the spheres disagree by more than all of it states, the limit is widened.
     """
     target, fit, looked = planned.id, pairs.fit, pairs.looked
@@ -231,8 +239,8 @@ def predict_tip_error(
     plan, bore = context.result(CheckedPlan).plan, context.workcell.tools.guide.bore
     calibrations = context.workcell.calibrations
     at_target_mm = {
-        "stereo head calibration": calibrations.stereo_head.stated_error_mm,
-        "guide tip calibration": calibrations.tool_tip.stated_error_mm,
+        STEREO_HEAD: calibrations.stereo_head.stated_error_mm,
+        GUIDE_TIP: calibrations.tool_tip.stated_error_mm,
         **({} if move is None else move.shares_mm(tip_mm)),
     }
     stated_rad = calibrations.tool_tip.stated_direction_error_rad
@@ -274,7 +282,7 @@ def predict_tip_error(
         assumed=localized.assumed_error,
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
-    return prediction, learned.shift_mm
+    return prediction, held.turn_correction(learned.shift_mm)
 
 
 def require_believable(learned: LearnedTarget, target: str) -> None:

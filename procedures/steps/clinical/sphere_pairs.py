@@ -14,13 +14,14 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from procedures.calibration.arm_sources import REPEATABILITY
 from procedures.engine.context import StepContext
 from procedures.registration import Registration, register
 from procedures.registration.arm_hypotheses import Source, at_looks, share_by_sphere
 from procedures.registration.arm_learning import ArmLearning, LearnedTarget, Looks
+from procedures.registration.error_sources import CT, OF_SPHERES, REPEATABILITY, SEATING, STEREO
 from procedures.registration.error_theory import FreGate, chi_square_limit
 from procedures.registration.errors import CollinearPoints
+from procedures.registration.moved_together import MovedTogether
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import (
@@ -40,7 +41,6 @@ from procedures.strategies.catalogue import find_strategy
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 
-CT, SEATING, STEREO = "CT", "seating of the spheres", "stereo measurement"
 NO_SHIFT = np.zeros(3)
 # Of the residual without a sphere that is left out: it must explain the disagreement, not only lessen it.
 # Safety against two spheres that have moved (U).
@@ -272,7 +272,7 @@ class LearnedPairs:
         )
 
     def predict(self, tip_mm: Array, sources: Sequence[Source]) -> LearnedTarget:
-        return self.learning.at_target(tip_mm, *self._split(sources))
+        return self.learning.at_target(tip_mm, *self._split(sources), self._moved_together)
 
     def learned(self, shifts_mm: Mapping[str, Array]) -> LearnedArm:
         """Return the size of the arm's errors, the spheres as it sees them, and the targets' corrections."""
@@ -284,6 +284,12 @@ class LearnedPairs:
             spheres_robot_mm=tuple(self.fit.physical_mm.tolist()),
             corrections_mm={name: tuple(shift.tolist()) for name, shift in shifts_mm.items()},
         )
+
+    @cached_property
+    def _moved_together(self) -> MovedTogether | None:
+        """Two spheres that moved alike, which the gate hardly sees."""
+        names = [str(fiducial + 1) for fiducial in self.fiducials]
+        return self.learning.find_moved_together(dict(zip(names, self._rows, strict=True)))
 
     @cached_property
     def _rows(self) -> list[list[int]]:
@@ -310,7 +316,7 @@ class LearnedPairs:
         for one in sources:
             if one.source in learned:
                 continue
-            if isinstance(one, IndependentErrors) and one.source in (CT, SEATING):
+            if isinstance(one, IndependentErrors) and one.source in OF_SPHERES:
                 others.append(share_by_sphere(one, self.looked.fiducials))
             else:
                 others.append(one)

@@ -127,6 +127,7 @@ def test_a_run_that_goes_on_loads_as_far_as_it_is(run: Path) -> None:
     assert loaded.registrations.standing.tolist() == [True]
     # Prepared without relocalization as its parent: nothing says what it was weighted with.
     assert np.isnan(loaded.localized.total_covariance_robot_mm2).all()
+    assert not loaded.localized.axis.any()  # nor in which paths it was
 
 
 def test_a_run_tells_with_what_it_was_begun_and_why_it_is_not_done(tmp_path: Path) -> None:

@@ -33,8 +33,8 @@ from procedures.imaging.localizers import Localizer
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
-from procedures.planning.target_error import FUSION
 from procedures.registration.arm_learning import LearnedTarget
+from procedures.registration.error_sources import FUSION
 from procedures.registration.target_prediction import TargetPrediction
 from procedures.steps.clinical.registration import STEP, require_believable
 from procedures.steps.clinical.results import Prediction, RegisteredRobot

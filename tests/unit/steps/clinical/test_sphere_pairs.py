@@ -9,15 +9,18 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.journal.results import FramedPose
-from procedures.planning.target_error import SCAN
-from procedures.registration.arm_hypotheses import LACKING
+from procedures.registration.error_sources import (
+    CT,
+    LACKING,
+    REPEATABILITY,
+    SCAN,
+    SEATING,
+    STEREO,
+    TOOL_FRAME,
+)
 from procedures.registration.target_prediction import AllowedErrors, IndependentErrors, SharedErrors
 from procedures.steps.clinical.path_check import LocalizationPose
 from procedures.steps.clinical.sphere_pairs import (
-    CT,
-    REPEATABILITY,
-    SEATING,
-    STEREO,
     LearnedPairs,
     LookedPairs,
 )
@@ -74,7 +77,7 @@ def pairs(
             allowed=AllowedErrors(small, TOOL_MM * turns),
         ),
         (
-            SharedErrors("tool frame", TOOL_MM * turns, TOOL_MM * np.eye(3)),
+            SharedErrors(TOOL_FRAME, TOOL_MM * turns, TOOL_MM * np.eye(3)),
             IndependentErrors(REPEATABILITY, np.tile(np.eye(3) * REST_MM**2, (len(rows), 1, 1)), nothing),
         ),
     )
@@ -124,8 +127,8 @@ def test_the_prediction_has_the_spheres_the_arm_and_what_its_model_lacks() -> No
     some = pairs(np.random.default_rng(1))
     mapped_mm = np.asarray(some.fit.transform.apply(TARGET_MM))
     found = some.predict(mapped_mm, sources_at_target(some, np.eye(3))).prediction
-    assert {CT, SEATING, STEREO, "tool frame", LACKING} <= set(found.budget_mm)
-    assert found.budget_mm["tool frame"] < 0.1 * TOOL_MM
+    assert {CT, SEATING, STEREO, TOOL_FRAME, LACKING} <= set(found.budget_mm)
+    assert found.budget_mm[TOOL_FRAME] < 0.1 * TOOL_MM
     assert found.limit_mm() > found.rms_mm
 
 
@@ -133,3 +136,21 @@ def test_two_spheres_that_moved_together_are_not_taken_for_a_third() -> None:
     some = pairs(np.random.default_rng(3), moved_mm=np.array([0.85, 0.85, 0.0]), moved=(0, 1))
     assert not some.gate.passed
     assert len(some.find_moved()) != 1
+
+
+def test_two_spheres_that_the_gate_lets_pass_are_named_in_the_budget_and_widen_the_limit() -> None:
+    quiet, moved = (
+        pairs(np.random.default_rng(3), moved_mm=moved_mm, moved=(0, 3))
+        for moved_mm in (None, np.array([0.08, -0.06, 0.05]))
+    )
+    assert moved.gate.passed
+    before, after = (
+        one.predict(
+            np.asarray(one.fit.transform.apply(TARGET_MM)), sources_at_target(one, np.eye(3))
+        ).prediction
+        for one in (quiet, moved)
+    )
+    named = "spheres 1 and 4 moved together"
+    assert set(after.budget_mm) - set(before.budget_mm) == {named}
+    assert 0.05 < after.budget_mm[named] < 0.5
+    assert after.limit_mm() > before.limit_mm() + after.budget_mm[named]
