@@ -101,7 +101,7 @@ def test_a_moved_head_leaves_no_residual_and_moves_the_target_with_it() -> None:
 
 @pytest.mark.hazard(67)
 @pytest.mark.parametrize(("share", "is_believable"), [(1.0, True), (2.0, True), (20.0, False)])
-def test_a_correction_is_believed_up_to_three_times_what_is_stated_of_the_arm(
+def test_a_correction_is_believed_up_to_a_multiple_of_what_is_stated_of_the_arm(
     share: float, *, is_believable: bool
 ) -> None:
     points, arm, others = SPHERES[list(TWICE)], arm_errors(10), other_errors()

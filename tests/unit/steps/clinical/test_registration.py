@@ -359,8 +359,8 @@ def test_a_single_localization_serves_all_trajectories_and_each_is_accepted(cell
 
 @pytest.mark.hazard(67)
 @pytest.mark.branch("CORRECTION_BEYOND")
-def test_a_learned_correction_beyond_three_times_what_is_stated_is_refused_with_what_to_check() -> None:
+def test_a_learned_correction_beyond_its_multiple_of_what_is_stated_is_refused_with_what_to_check() -> None:
     predicted = TargetPrediction({"arm": np.eye(3) * 0.16})  # 0.69 mm rms
-    require_believable(LearnedTarget(np.array([6.0, 0.0, 0.0]), predicted, stated_mm=2.0), FIRST)
-    with raises(GateFailed, match=r"7\.00 mm.*Check which arm"):
-        require_believable(LearnedTarget(np.array([7.0, 0.0, 0.0]), predicted, stated_mm=2.0), FIRST)
+    require_believable(LearnedTarget(np.array([9.0, 0.0, 0.0]), predicted, stated_mm=2.0), FIRST)
+    with raises(GateFailed, match=r"11\.00 mm.*Check which arm"):
+        require_believable(LearnedTarget(np.array([11.0, 0.0, 0.0]), predicted, stated_mm=2.0), FIRST)
