@@ -188,9 +188,10 @@ def _numbers(source: object, *names: str) -> tuple[float, ...]:
 
 def spheres_table(run: Inspection) -> RunTable:
     """Return one row per sphere found in the CT. Raises REC-001, REC-003."""
-    found, rows = CaseSpheres.of(run.valid_records), []
+    found = CaseSpheres.of(run.valid_records)
     if found is None:
-        return RunTable.of(SPHERES, rows)
+        return RunTable.of(SPHERES, ())
+    rows = []
     for number, one in found.used.result.numbered.items():
         fit = (one.radius_mm, one.quality, one.agreement_mm, one.odds)
         places = (one.centre_mm, found.planning_ct_mm.get(number, NOWHERE))

@@ -41,6 +41,7 @@ def shown_target_mm(frames: CaseFrames) -> Array:
         if isinstance(one, FramePose) and (one.parent, one.child) == (Frame.CT, Frame.ROBOT)
     ]
     assert found.translation_mm is not None
+    assert found.rotation is not None
     ct_from_robot = Transform.of(
         Frame.CT, Frame.ROBOT, translation_mm=found.translation_mm, quaternion_wxyz=found.rotation
     )
