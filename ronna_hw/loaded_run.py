@@ -182,7 +182,14 @@ class RunRegistration(Protocol):
 
     @property
     def robot_from_ct(self) -> Transform:
-        """Pose of the CT in the robot frame."""
+        """Pose of the CT in the robot frame, of the head as registered: the same for all its targets."""
+
+    @property
+    def sent_robot_from_ct(self) -> Transform:
+        """Pose by which the arm is sent to this target: the same, with the correction learned for it.
+
+        Its inverse maps what the arm's joints report there into the CT.
+        """
 
     @property
     def fre_mm(self) -> float:
@@ -286,7 +293,10 @@ class LoadedRun(Protocol):
         """Plan of the case as it was checked, a `procedures.planning.plan_model.Plan`; None before that."""
 
     def robot_from_ct(self, target: str) -> Transform:
-        """Return the registration used for a target. Raises EXC-005 if it has none."""
+        """Return the head's pose as registered for a target. Raises EXC-005 if it has none.
+
+        By `registration(target).sent_robot_from_ct` the arm is sent there, if errors were learned of it.
+        """
 
     def registration(self, target: str) -> RunRegistration:
         """Return the registration used for a target and its spheres in the CT. Raises EXC-005."""

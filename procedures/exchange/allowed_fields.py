@@ -23,17 +23,20 @@ M = TypeVar("M")
 PLAIN_LABEL = re.compile(r"[A-Za-z]{1,3}\d{1,3}")
 
 SPHERE_FIELDS = {
-    "centre_mm": "centre in LPS",
+    "centre_mm": "centre in LPS, as it counts: by the CT, or by a scan of the clamped head",
     "covariance_mm2": "of the centre",
     "radius_mm": "as measured",
     "quality": "0 to 1",
     "agreement_mm": "between the two estimates of the centre",
     "flags": "fixed words of the localizer",
     "odds": "that it is a marker, 0 to 1",
+    "planning_ct_mm": "centre in the planning CT; null if it is new since",
 }
 REGISTRATION_FIELDS = {
     "trajectory": "its label, or its number",
-    "robot_from_ct": "pose robot <- CT",
+    "robot_from_ct": "pose robot <- CT of the head as registered, the same for all its targets",
+    "correction_mm": "x y z, robot frame: from the target's place by that pose to where the arm is sent, for "
+    "errors learned of it; zero without",
     "pairs": "spheres used in the fit",
     "fre_mm": "of the fit; not a measure of accuracy",
     "predicted_tre_mm": "predicted error at the target, rms",
@@ -91,11 +94,15 @@ _PREDICTED = (
     Column("confidence", REGISTRATION_FIELDS["confidence"]),
 )
 PLANNED, REACHED, FOUND = "planned", "reached", "found"
+LPS_COLUMNS = ("L_mm", "P_mm", "S_mm")
+PLANNING_CT_COLUMNS = ("planning_ct_L_mm", "planning_ct_P_mm", "planning_ct_S_mm")
+CORRECTION = ("correction_x_mm", "correction_y_mm", "correction_z_mm")
 TABLES: dict[str, tuple[Column, ...]] = {
     "spheres.csv": (
         Column("name", DOCUMENT_FIELDS["name"], "string"),
-        *_in_mm("L_mm P_mm S_mm", "centre"),
+        *_in_mm(" ".join(LPS_COLUMNS), "centre, as it counts: by the CT, or by a scan of the clamped head"),
         *_in_mm("uncertainty_mm", "of the centre, 3-D rms"),
+        *_in_mm(" ".join(PLANNING_CT_COLUMNS), "centre in the planning CT; empty if it is new since"),
         *_ORIGIN_COLUMNS,
     ),
     "lines.csv": (
@@ -136,10 +143,15 @@ TABLES: dict[str, tuple[Column, ...]] = {
     "registrations.csv": (
         _TRAJECTORY,
         *(
-            Column(f"m{row}{column}", "pose robot <- CT, row by row", unit="mm" if column == 4 else "")
+            Column(
+                f"m{row}{column}",
+                "pose robot <- CT of the head as registered, row by row",
+                unit="mm" if column == 4 else "",
+            )
             for row in range(1, 4)
             for column in range(1, 5)
         ),
+        *_in_mm(" ".join(CORRECTION), REGISTRATION_FIELDS["correction_mm"]),
         Column("pairs", REGISTRATION_FIELDS["pairs"], "int"),
         *_in_mm("fre_mm", REGISTRATION_FIELDS["fre_mm"]),
         *_PREDICTED,
@@ -155,12 +167,13 @@ FILES = {
     "lines.csv": "all lines",
     "errors.csv": "errors at each target; axial ones along the planned line, positive is too deep",
     "spheres.csv": "centres of the spheres",
-    "registrations.csv": "registration used at each target, robot <- ct",
+    "registrations.csv": "registration used at each target, robot <- ct, and the correction learned there",
     "*.schema.csv": "types, units and meanings of the columns of the table of that name, read by Slicer",
     "spheres.json": "spheres with covariances",
     "registrations.json": "registrations",
     "spheres.dcm": "DICOM Spatial Fiducials",
-    "registration-*.dcm": "DICOM Spatial Registration, one for each registration: robot <- ct",
+    "registration-*.dcm": "DICOM Spatial Registration, one for each registration: robot <- ct of the head as "
+    "registered",
     "structures.dcm": "DICOM RT Structure Set: spheres as points, trajectories as lines of two points",
     "report-page.dcm": "DICOM Secondary Capture: how the run ended, and the errors at its targets",
     "postoperative-report.dcm": "DICOM structured report: errors in the CT after the operation, with units",

@@ -7,10 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from procedures.engine.case import Stored, results_of
+from procedures.engine.case import results_of
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.exchange import trajectory_lines
 from procedures.exchange.allowed_fields import label_of
+from procedures.exchange.case_spheres import CaseSpheres
 from procedures.exchange.errors import NOTHING_TO_EXPORT
 from procedures.exchange.export_tables import CT_FROM_ROBOT, CtIdentity, format_table
 from procedures.journal.results import StepResult
@@ -25,7 +26,6 @@ from procedures.reporting.tables import TargetTable, target_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import Prediction, RegisteredRobot, Relocalization
@@ -47,7 +47,7 @@ class CaseResults:
     run: Inspection
     ending: Ending
     ct: CtIdentity
-    spheres: Stored[LocalizedFiducials] | None
+    spheres: CaseSpheres | None
     plan: CheckedPlan | None
     registrations: tuple[run_reading.UsedRegistration, ...]
     reached: Mapping[
@@ -175,14 +175,13 @@ def read_results(reading: run_reading.RunReading, find_truth: FindTruth) -> Case
     planned = [] if plan is None else [one.id for one in plan.plan.trajectories]
     names = dict.fromkeys([*planned, *(name for one in registrations for name in one.targets)])
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
-    spheres = results_of(LocalizedFiducials, run.valid_records)
     after = load_check(reading)
     truth = (reading.truth or find_truth(run.folder)) if run.opened.get("banner") else None
     return CaseResults(
         run=run,
         ending=ending_of(reading),
         ct=CtIdentity(ct.series_instance_uid, ct.frame_of_reference_uid, ct.study_instance_uid),
-        spheres=spheres[-1] if spheres else None,
+        spheres=CaseSpheres.of(run.valid_records),
         plan=plan,
         registrations=registrations,
         reached=reached_lines(run, plan, registrations, labels),

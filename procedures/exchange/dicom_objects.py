@@ -62,13 +62,15 @@ def fiducial_uid(origin: Origin, name: str) -> str:
     return str(uid(origin, "fiducial", name))
 
 
-def sphere_fiducials(numbered: Mapping[int, Marker], origin: Origin) -> Dataset:
+def sphere_fiducials(
+    numbered: Mapping[int, Marker], origin: Origin, description: str = "centres of marker spheres"
+) -> Dataset:
     """Build the Spatial Fiducials object for the spheres of a CT series, named M1, M2, ... by number."""
     points = [
         point_item(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
         for name, marker in name_spheres(numbered).items()
     ]
-    return spatial_fiducials(points, origin, "MARKERS", "centres of marker spheres")
+    return spatial_fiducials(points, origin, "MARKERS", description)
 
 
 def spatial_fiducials(points: list[Dataset], origin: Origin, label: str, description: str) -> Dataset:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from procedures.engine.case import results_of
+from procedures.exchange.case_spheres import CaseSpheres
 from procedures.exchange.run_tables import NOWHERE, sphere_name
 from procedures.reporting.run_options import read_options
 from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.results import Prediction, Relocalization
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
@@ -29,7 +29,13 @@ CASE_FOLDER, CT_FOLDER = "case", "ct"
 SPHERES = (
     RunColumn("sphere", str, "its name in `run.spheres`"),
     RunColumn("used", bool, "whether the fit used it"),
-    RunColumn("expected_ct_mm", float, "its centre in the CT", (3,)),
+    RunColumn(
+        "expected_ct_mm",
+        float,
+        "its centre as the fit used it: by the CT or, after a scan of the clamped head, by that scan",
+        (3,),
+    ),
+    RunColumn("planning_ct_mm", float, "its centre in the planning CT; NaN if it is new since", (3,)),
     RunColumn("found_ct_mm", float, "as the stereo head found it, through the registration", (3,)),
     RunColumn("residual_mm", float, "distance between the two; not the error at a target"),
     RunColumn("without_it_mm", float, "the same, if the fit leaves it out; NaN where that is not known"),
@@ -43,6 +49,7 @@ class RegistrationInCt:
     target: str
     record: str
     robot_from_ct: Transform
+    sent_robot_from_ct: Transform
     fre_mm: float
     predicted: Prediction
     spheres: RunTable
@@ -90,10 +97,10 @@ class RegistrationInCt:
 def registration_in_ct(reading: RunReading, used: UsedRegistration, target: str) -> RegistrationInCt:
     """Build the registration used for a target. Raises REC-001, REC-003."""
     fit, run = used.stored.result, reading.run
-    found = results_of(LocalizedFiducials, run.valid_records)
-    centres_mm = found[-1].result.centres_mm if found else np.zeros((0, 3))
-    shown = found[-1].result.shown if found else ()
-    robot_from_ct = fit.robot_from_ct.transform
+    spheres = CaseSpheres.of_registration(used.stored.record, run)
+    centres_mm = np.zeros((0, 3)) if spheres is None else spheres.used.result.centres_mm
+    shown = () if spheres is None else spheres.used.result.shown
+    planning_mm = {} if spheres is None else spheres.planning_ct_mm
     places = np.full((len(centres_mm), 3), np.nan)
     for stored in results_of(Relocalization, run.records):
         if stored.record.identifier in used.stored.record.parents:
@@ -106,6 +113,7 @@ def registration_in_ct(reading: RunReading, used: UsedRegistration, target: str)
             sphere_name(index),
             bool(np.isfinite(place_mm).all()) and index not in left_out,
             centre_mm,
+            planning_mm.get(index + 1, NOWHERE),
             place_mm if np.isfinite(place_mm).all() else NOWHERE,
             float(np.linalg.norm(place_mm - centre_mm)),
             np.nan if (apart_mm := without_mm.get(index)) is None else apart_mm,
@@ -118,7 +126,8 @@ def registration_in_ct(reading: RunReading, used: UsedRegistration, target: str)
     return RegistrationInCt(
         target=target,
         record=used.stored.record.identifier,
-        robot_from_ct=robot_from_ct,
+        robot_from_ct=fit.robot_from_ct.transform,
+        sent_robot_from_ct=fit.robot_from_ct_at(target),
         fre_mm=fit.fre_mm,
         predicted=fit.prediction(target),
         spheres=RunTable.of(SPHERES, rows),

@@ -21,7 +21,6 @@ from procedures.exchange.errors import NOT_WRITABLE
 from procedures.exchange.run_objects import Fits, run_objects
 from procedures.exchange.sphere_files import document, slicer_markups, table
 from procedures.exchange.trajectory_lines import format_lines, tabulate_lines
-from procedures.journal.results import FramedPose
 from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.inspection import inspect_run
@@ -96,13 +95,16 @@ def _case_texts(results: CaseResults) -> dict[str, str]:
     if results.plan is not None:
         tables = {"lines.csv": tabulate_lines(lines, ct), "errors.csv": results.tabulate_errors()}
     if results.spheres is not None:
-        numbered = results.spheres.result.numbered
+        numbered, in_ct_mm = results.spheres.used.result.numbered, results.spheres.planning_ct_mm
         plain = {
-            number: allowed_fields.pick_allowed(one.model_dump(mode="json"), allowed_fields.SPHERE_FIELDS)
+            number: {
+                **allowed_fields.pick_allowed(one.model_dump(mode="json"), allowed_fields.SPHERE_FIELDS),
+                "planning_ct_mm": in_ct_mm.get(number),
+            }
             for number, one in numbered.items()
         }
         texts |= {"spheres.mrk.json": slicer_markups(numbered, ct), "spheres.json": document(plain, ct)}
-        tables["spheres.csv"] = table(numbered, ct)
+        tables["spheres.csv"] = table(numbered, ct, in_ct_mm)
     return texts | _with_schemas(tables)
 
 
@@ -115,10 +117,7 @@ def _registration_texts(fits: Fits, ct: export_tables.CtIdentity) -> dict[str, s
         shared = allowed_fields.pick_allowed(plain, allowed_fields.REGISTRATION_FIELDS)
         for one in fit.result.predictions:
             row = {"trajectory": one.target, **shared, **describe_prediction(one)}
-            at_target = FramedPose.of(
-                fit.result.robot_from_ct_at(one.target)
-            )  # as a learned arm is sent there
-            row["robot_from_ct"] = at_target.model_dump(mode="json")
+            row["correction_mm"] = fit.result.correction_mm(one.target)
             rows.append({**row, "record": fit.record.sha256})
     content = {**ct.describe(export_tables.ROBOT_FROM_CT), "registrations": rows}
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
@@ -132,10 +131,14 @@ def _registration_table(fits: Fits, ct: export_tables.CtIdentity) -> str:
     for fit in fits.values():
         shared = {**ct.describe(export_tables.ROBOT_FROM_CT), "pairs": fit.result.pairs}
         shared["fre_mm"] = fit.result.fre_mm
+        matrix = fit.result.robot_from_ct.transform.as_matrix()[:3].ravel().tolist()
+        pose = dict(zip(elements, matrix, strict=True))
         for one in fit.result.predictions:
-            matrix = fit.result.robot_from_ct_at(one.target).as_matrix()[:3].ravel().tolist()
-            pose = dict(zip(elements, matrix, strict=True))
-            rows.append({"trajectory": one.target, **pose, **shared, **describe_prediction(one)})
+            correction = dict(
+                zip(allowed_fields.CORRECTION, fit.result.correction_mm(one.target), strict=True)
+            )
+            row = {"trajectory": one.target, **pose, **correction}
+            rows.append({**row, **shared, **describe_prediction(one)})
     return export_tables.format_table("registrations.csv", rows)
 
 
@@ -160,7 +163,11 @@ def _label_registrations(results: CaseResults) -> dict[str, Stored[RegisteredRob
 
 def _relabel(used: UsedRegistration, labels: Mapping[str, str]) -> RegisteredRobot:
     predictions = tuple(one.model_copy(update={"target": labels[one.target]}) for one in used.predictions)
-    return used.result.model_copy(update={"predictions": predictions})
+    changed: dict[str, object] = {"predictions": predictions}
+    if (learned := used.result.learned) is not None:
+        corrections_mm = {labels[name]: one for name, one in learned.corrections_mm.items() if name in labels}
+        changed["learned"] = learned.model_copy(update={"corrections_mm": corrections_mm})
+    return used.result.model_copy(update=changed)
 
 
 def _index(

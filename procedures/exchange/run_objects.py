@@ -24,6 +24,9 @@ from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.records import Record, canonical_json
 
+SCANNED = "centres of marker spheres by a scan of the clamped head"
+UNCORRECTED = "; corrections: registrations.csv"  # that an arm which was learned is given
+
 Fits = Mapping[str, Stored[RegisteredRobot]]  # registrations by their exported label
 
 
@@ -38,7 +41,7 @@ def run_objects(
     key = hashlib.sha256(page.tobytes()).hexdigest()
     objects["report-page.dcm"] = report_page(page, _origin(results, key, latest))
     if results.spheres is not None:
-        spheres = name_spheres(results.spheres.result.numbered)
+        spheres = name_spheres(results.spheres.used.result.numbered)
         objects |= _registered(results, fits)
         plain = [marker.model_dump(mode="json") for marker in spheres.values()]
         content = [plain, [(one.label, one.kind, *one.entry_mm, *one.end_mm) for one in lines]]
@@ -59,9 +62,10 @@ def run_objects(
 def _registered(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
     """Build the spheres' object, and one for each registration, which names the spheres it used."""
     assert results.spheres is not None, "the caller has them"
-    spheres = results.spheres.result.numbered
-    origin = _record_origin(results, results.spheres.record)
-    objects = {"spheres.dcm": dicom_objects.sphere_fiducials(spheres, origin)}
+    spheres = results.spheres.used.result.numbered
+    origin = _record_origin(results, results.spheres.used.record)
+    described = (SCANNED,) if results.spheres.are_scanned else ()
+    objects = {"spheres.dcm": dicom_objects.sphere_fiducials(spheres, origin, *described)}
     uids = [dicom_objects.fiducial_uid(origin, name) for name in name_spheres(spheres)]
     for label, fit in fits.items():
         objects[f"registration-{label}.dcm"] = dicom_objects.spatial_registration(
@@ -69,7 +73,7 @@ def _registered(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
             _record_origin(results, fit.record),
             spheres=origin,
             placing=_placing(fit.record, results),
-            description=f"trajectory {label}",
+            description=f"trajectory {label}" + (UNCORRECTED if fit.result.learned else ""),
             fiducial_uids=uids,
         )
     return objects

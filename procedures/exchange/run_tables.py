@@ -17,12 +17,11 @@ import numpy as np
 from procedures.engine.case import results_of
 from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.case_results import reached_lines
+from procedures.exchange.case_spheres import CaseSpheres
 from procedures.journal.journal import Entry, Line, theatre_time_s
-from procedures.journal.results import FramedPose
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.reporting.tables import target_rows
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
@@ -54,13 +53,30 @@ TARGETS = (
     ),
     RunColumn("entry_ct_mm", float, "planned entry", (3,)),
     RunColumn("target_ct_mm", float, "planned target", (3,)),
-    RunColumn("target_robot_mm", float, "planned target by its registration", (3,)),
+    RunColumn(
+        "target_robot_mm",
+        float,
+        "place to which the arm is sent for it: by its registration, with the learned correction",
+        (3,),
+    ),
+    RunColumn(
+        "correction_robot_mm",
+        float,
+        "that correction, for errors learned of the arm; zero by any strategy but `learning`",
+        (3,),
+    ),
     RunColumn("reached_robot_mm", float, "instrument's tip by joints and depth stop; not the truth", (3,)),
-    RunColumn("reached_ct_mm", float, "the same, back through the registration", (3,)),
+    RunColumn("reached_ct_mm", float, "the same, back through registration and correction", (3,)),
 )
 SPHERES = (
     RunColumn("name", str, "M1, M2, ... from superior to inferior"),
-    RunColumn("centre_ct_mm", float, "its centre", (3,)),
+    RunColumn(
+        "centre_ct_mm",
+        float,
+        "its centre as it counts: by the CT or, after a scan of the clamped head, by that scan",
+        (3,),
+    ),
+    RunColumn("planning_ct_mm", float, "its centre in the planning CT; NaN if it is new since", (3,)),
     RunColumn("covariance_ct_mm2", float, "of the centre", (3, 3)),
     RunColumn("radius_mm", float, "fitted radius"),
     RunColumn(
@@ -102,7 +118,9 @@ REGISTRATIONS = (
     RunColumn("standing", bool, "whether the result still holds; False once another took its place"),
     RunColumn("pairs", int, "spheres it was fitted to"),
     RunColumn("fre_mm", float, "fiducial registration error; not a measure of accuracy"),
-    RunColumn("robot_from_ct_mm", float, "origin of the CT in the robot frame", (3,)),
+    RunColumn(
+        "robot_from_ct_mm", float, "origin of the CT in the robot frame, by the head as registered", (3,)
+    ),
     RunColumn("robot_from_ct_wxyz", float, "rotation robot <- ct, scalar first", (4,)),
 )
 BUDGET = (
@@ -148,15 +166,16 @@ def targets_table(reading: RunReading, truth: Truth) -> RunTable:
     rows = []
     for planned in trajectories:
         row, registration, line = known.get(planned.id), used.get(planned.id), lines.get(planned.id)
-        target_mm = tip_mm = np.array(NOWHERE)
+        target_mm = tip_mm = correction_mm = np.array(NOWHERE)
         tip_ct_mm = NOWHERE if line is None else line.end_mm
         if registration is not None:
             robot_from_ct = registration.result.robot_from_ct_at(planned.id)
             target_mm, tip_mm = robot_from_ct.apply(planned.target_mm), robot_from_ct.apply(tip_ct_mm)
+            correction_mm = np.array(registration.result.correction_mm(planned.id))
         plain = (planned.id, planned.depth_mm, planned.margin_mm, strategies.get(planned.id, ""))
         prediction = _numbers(None if row is None else row.predicted, "rms_mm", "limit_mm", "confidence")
         errors = _numbers(row, "error_mm", "lateral_mm", "axial_mm", "measured_mm")
-        points = (planned.entry_mm, planned.target_mm, target_mm, tip_mm, tip_ct_mm)
+        points = (planned.entry_mm, planned.target_mm, target_mm, correction_mm, tip_mm, tip_ct_mm)
         rows.append((*plain, *prediction, *errors, *points))
     return RunTable.of(TARGETS, rows)
 
@@ -169,11 +188,14 @@ def _numbers(source: object, *names: str) -> tuple[float, ...]:
 
 def spheres_table(run: Inspection) -> RunTable:
     """Return one row per sphere found in the CT. Raises REC-001, REC-003."""
-    found = results_of(LocalizedFiducials, run.valid_records)
+    found = CaseSpheres.of(run.valid_records)
+    if found is None:
+        return RunTable.of(SPHERES, ())
     rows = []
-    for number, one in (found[-1].result.numbered if found else {}).items():
+    for number, one in found.used.result.numbered.items():
         fit = (one.radius_mm, one.quality, one.agreement_mm, one.odds)
-        rows.append((sphere_name(number - 1), one.centre_mm, one.covariance_mm2, *fit))
+        places = (one.centre_mm, found.planning_ct_mm.get(number, NOWHERE))
+        rows.append((sphere_name(number - 1), *places, one.covariance_mm2, *fit))
     return RunTable.of(SPHERES, rows)
 
 
@@ -226,15 +248,13 @@ def _find_total_covariances_mm2(run: Inspection) -> dict[tuple[str, int], Any]:
 
 
 def registrations_table(run: Inspection) -> RunTable:
-    """Return one row per registration made; with a learned arm, per target. Raises REC-001, REC-003."""
+    """Return one row per registration made. Raises REC-001, REC-003."""
     rows = []
     for stored in results_of(RegisteredRobot, run.records):
         name, one = stored.record.identifier, stored.result
-        served = [predicted.target for predicted in one.predictions]
-        for targets in [[target] for target in served] if one.learned else [served]:
-            pose = FramedPose.of(one.robot_from_ct_at(targets[0] if targets else None))
-            fit = (one.pairs, one.fre_mm, pose.translation_mm, pose.quaternion_wxyz)
-            rows.append((name, " ".join(targets), name not in run.superseded, *fit))
+        targets = " ".join(predicted.target for predicted in one.predictions)
+        fit = (one.pairs, one.fre_mm, one.robot_from_ct.translation_mm, one.robot_from_ct.quaternion_wxyz)
+        rows.append((name, targets, name not in run.superseded, *fit))
     return RunTable.of(REGISTRATIONS, rows)
 
 

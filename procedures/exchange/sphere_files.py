@@ -9,10 +9,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from procedures.exchange.allowed_fields import name_spheres
+from procedures.exchange.allowed_fields import LPS_COLUMNS, PLANNING_CT_COLUMNS, name_spheres
 from procedures.exchange.errors import NOT_WRITABLE, UNKNOWN_FORM
 from procedures.exchange.export_tables import IN_CT, CtIdentity, format_table
 from procedures.exchange.slicer_markups import build_markup, format_markups
+from ronna_hw.calibration import Numbers3
 from ronna_hw.records import canonical_json, write_atomically
 
 if TYPE_CHECKING:
@@ -84,12 +85,18 @@ def slicer_markups(numbered: Mapping[int, Marker], ct: CtIdentity) -> str:
     return format_markups([build_markup("Fiducial", "spheres", points)], ct, IN_CT)
 
 
-def table(numbered: Mapping[int, Marker], ct: CtIdentity) -> str:
-    """Format a CSV with name, L, P, S and uncertainty in mm."""
+def table(
+    numbered: Mapping[int, Marker], ct: CtIdentity, planning_ct_mm: Mapping[int, Numbers3] | None = None
+) -> str:
+    """Format a CSV with name, L, P, S and uncertainty in mm.
+
+    `planning_ct_mm` are the places by number in the planning CT, if these are of a later scan.
+    """
     rows = []
-    for name, one in name_spheres(numbered).items():
-        centre = dict(zip(("L_mm", "P_mm", "S_mm"), one.centre_mm, strict=True))
-        rows.append({"name": name, **centre, "uncertainty_mm": one.sigma_mm, **ct.describe(IN_CT)})
+    for number, (name, one) in zip(numbered, name_spheres(numbered).items(), strict=True):
+        in_ct = one.centre_mm if planning_ct_mm is None else planning_ct_mm.get(number, (None,) * 3)
+        places = dict(zip((*LPS_COLUMNS, *PLANNING_CT_COLUMNS), (*one.centre_mm, *in_ct), strict=True))
+        rows.append({"name": name, **places, "uncertainty_mm": one.sigma_mm, **ct.describe(IN_CT)})
     return format_table("spheres.csv", rows)
 
 

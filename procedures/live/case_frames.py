@@ -58,6 +58,7 @@ class CaseFrames:
         self._engine = engine
         self._workcell = engine.setting.workcell
         self._known: dict[Subject, LiveRecord] = {}
+        self._target: str | None = None
         self._fiducials: tuple[tuple[str, str | None], Fiducials] | None = None  # of these two records
 
     def changes(self, now_s: float) -> list[LiveRecord]:
@@ -87,8 +88,8 @@ class CaseFrames:
             yield frame_pose(Frame.ROBOT, Frame.TRACKER, tracker, now_s, is_fixed=True)
         registered = self._find(RegisteredRobot)
         if registered is not None:
-            robot = registered.result.robot_from_ct.transform.inverse()
-            yield frame_pose(Frame.CT, Frame.ROBOT, robot, now_s, is_fixed=True)
+            robot_from_ct = registered.result.robot_from_ct_at(self._find_target())
+            yield frame_pose(Frame.CT, Frame.ROBOT, robot_from_ct.inverse(), now_s, is_fixed=True)
         if (spheres := self._find(LocalizedFiducials)) is not None:
             by = (spheres.record.identifier, None if registered is None else registered.record.identifier)
             if self._fiducials is None or self._fiducials[0] != by:
@@ -100,6 +101,17 @@ class CaseFrames:
                 for one in checked.result.plan.trajectories
             )
             yield PlannedLines(theatre_time_s=now_s, lines=tuple(lines))
+
+    def _find_target(self) -> str | None:
+        """Return the target where the arm is or was last, in whose correction the frames are; None before.
+
+        A learned arm errs by millimetres: only by the correction of a target do its joints agree with the
+        head there.
+        """
+        running = self._engine.running
+        at = self._workcell.master.place.trajectory or (running and running.trajectory)
+        self._target = at or self._target
+        return self._target
 
     def _find(self, model: type[R]) -> Stored[R] | None:
         """Return the latest valid result of a step."""

@@ -5,13 +5,14 @@ Read from the folder of a run, running or finished; what does not exist yet, or 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from procedures.engine.case import without_ancestors
+from procedures.engine.case import Stored, without_ancestors
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.journal.results import StepResult
 from procedures.operator.question import Evidence, PredictedError
@@ -23,6 +24,7 @@ from procedures.steps.clinical.error_budget import budget_table, two_way_table
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from ronna_hw.evidence.manifest import PICTURES_FOLDER
 from ronna_hw.frames import Transform
@@ -54,7 +56,7 @@ class TrajectoryFigure:
 class CaseFigures:
     """All figures of a case known so far."""
 
-    robot_from_ct: Transform | None = None
+    robot_from_ct: Transform | None = None  # corrected for the target where the guide came last
     robot_from_tracker: Transform | None = None
     spheres: tuple[SphereFigure, ...] = ()
     trajectories: tuple[TrajectoryFigure, ...] = ()
@@ -73,9 +75,10 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
     """
     reading = read_for_report(folder, every_file=every_file)
     coarse, tracked = reading.find(Correspondence), reading.find(GlobalLocalization)
-    registered = _currently_valid(reading, RegisteredRobot)
-    poses = {name: one.robot_from_ct_at(name) for one in registered for name in one.trajectories}
-    latest = registered[-1].robot_from_ct.transform if registered else None
+    stored = _currently_valid(reading, RegisteredRobot)
+    registered, target = [one.result for one in stored], _find_target(reading)
+    poses = {name: one.robot_from_ct_at(target) for one in registered for name in one.trajectories}
+    latest = registered[-1].robot_from_ct_at(target) if registered else None
     pose = latest or (coarse.robot_from_ct.transform if coarse else None)
     plan = reading.find(CheckedPlan)
     margins_mm = {one.id: one.margin_mm for one in plan.plan.trajectories} if plan else {}
@@ -84,7 +87,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
     return CaseFigures(
         robot_from_ct=pose,
         robot_from_tracker=tracked.robot_from_tracker.transform if tracked else None,
-        spheres=_spheres(reading, pose),
+        spheres=_spheres(reading, pose, _stereo_points(reading, stored, target)),
         trajectories=_trajectories(plan, poses, pose),
         predictions=tuple(
             one.against(margins_mm[one.target]) for one in predictions if one.target in margins_mm
@@ -100,27 +103,49 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
     )
 
 
-def _currently_valid(reading: RunReading, model: type[R]) -> list[R]:
+def _currently_valid(reading: RunReading, model: type[R]) -> list[Stored[R]]:
     """Return the valid results, without those of targets finished before something moved."""
     past = without_ancestors(reading.run.valid_records)
-    return [one.result for one in reading.valid_results(model) if one.record.identifier not in past]
+    return [one for one in reading.valid_results(model) if one.record.identifier not in past]
+
+
+def _find_target(reading: RunReading) -> str | None:
+    """Return the target where the guide came last, None before: by its correction all is drawn as the arm is.
+
+    A learned arm errs by millimetres, by nearly as much at spheres and targets: only by a pose that is
+    corrected for that does the drawn guide end on the drawn target.
+    """
+    reached = reading.valid_results(PositionedGuide)
+    return reached[-1].record.trajectory if reached else None
+
+
+def _stereo_points(
+    reading: RunReading, registered: Sequence[Stored[RegisteredRobot]], target: str | None
+) -> dict[int, Point]:
+    """Return each sphere as the stereo head found it: through its registration, and raw before that."""
+    points: dict[int, Point] = {}
+    for fine in _currently_valid(reading, Relocalization):
+        found = dict(zip(fine.result.fiducials, fine.result.points_mm, strict=True))
+        for fit in registered:
+            if fine.record.identifier in fit.record.parents:
+                pose, in_ct = fit.result.robot_from_ct_at(target), fit.result.found_in_ct_mm(fine.result)
+                found = {fiducial: pose.apply(place_mm) for fiducial, place_mm in in_ct.items()}
+        points |= {fiducial: _point(place_mm) for fiducial, place_mm in found.items()}
+    return points
 
 
 def _pictures(folder: Path, prefix: str) -> tuple[str, ...]:
     return tuple(sorted(path.name for path in (folder / PICTURES_FOLDER).glob(f"{prefix}*.png")))
 
 
-def _spheres(reading: RunReading, pose: Transform | None) -> tuple[SphereFigure, ...]:
+def _spheres(
+    reading: RunReading, pose: Transform | None, stereo: dict[int, Point]
+) -> tuple[SphereFigure, ...]:
     localized = reading.find(LocalizedFiducials)
     if localized is None:
         return ()
     coarse, tracked = reading.find(Correspondence), reading.find(GlobalLocalization)
     partner = {pair[0]: pair[1] for pair in coarse.pairs} if coarse else {}
-    stereo = {
-        fiducial: _point(place)
-        for result in _currently_valid(reading, Relocalization)
-        for fiducial, place in zip(result.fiducials, result.points_mm, strict=True)
-    }
     return tuple(
         SphereFigure(
             number=number,

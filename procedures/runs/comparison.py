@@ -25,9 +25,9 @@ from procedures.relocalization.triangulation import check_serial
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import IntraoperativeSpheres
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.inputs import note_same_content
-from procedures.steps.clinical.intraoperative_scan import IntraoperativeSpheres
 from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import KnownBases, RegisteredRobot

@@ -165,8 +165,8 @@ class RunArrays:
         return checked[-1].result.plan if checked else None
 
     def robot_from_ct(self, target: str) -> Transform:
-        """Return the registration used for a target. Raises EXC-005 if it has none."""
-        return self._find_registration(target).result.robot_from_ct_at(target)
+        """Return the head's pose by the registration used for a target. Raises EXC-005 if it has none."""
+        return self._find_registration(target).result.robot_from_ct.transform
 
     def registration(self, target: str) -> RegistrationInCt:
         """Return the registration used for a target and its spheres in the CT. Raises EXC-005."""

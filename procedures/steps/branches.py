@@ -252,6 +252,13 @@ FIT_DISAGREES = Branch(
     "localize again",
     (GateFailed,),
 )
+CORRECTION_BEYOND = Branch(
+    "the looks ask for a correction of the arm that its stated errors do not make believable",
+    "length of the learned correction against 4.7 times the error stated there",
+    ("registration",),
+    "arm, stereo head and guide are checked against their calibrations; localize again",
+    (GateFailed,),
+)
 BEYOND_MARGIN = Branch(
     "the predicted error at a target exceeds the plan's margin",
     "propagation of all errors to the target",

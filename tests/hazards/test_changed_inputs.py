@@ -41,9 +41,8 @@ from procedures.runs.comparison import Comparison, compare_inputs
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.cart_lock import LockedCart, Proposal
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, hash_series
 from procedures.steps.clinical.inputs import UnchangedInputs
-from procedures.steps.clinical.intraoperative_scan import hash_series
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.workcell import MountedTool

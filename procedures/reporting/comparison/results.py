@@ -152,7 +152,7 @@ def _is_same_ct(first: RunReading, second: RunReading) -> bool:
 
 @dataclass(frozen=True)
 class ComparedRegistration:
-    """Registrations of both runs for a target, and how far apart they put it in the robot frame."""
+    """Registrations of both runs for a target, and the distance of the places to which they send the arm."""
 
     target: str
     fits: Pair[RegisteredRobot | None]

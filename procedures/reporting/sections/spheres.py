@@ -12,9 +12,8 @@ from procedures.reporting.outcome import CtOutcome, Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.fiducial_localization import IntraoperativeSpheres, LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.intraoperative_scan import IntraoperativeSpheres
 from procedures.steps.clinical.results import Relocalization
 from ronna_hw.calibration import Numbers3
 

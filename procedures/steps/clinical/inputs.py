@@ -19,7 +19,7 @@ from procedures.journal.results import StepResult
 from procedures.planning.plan_file import read_plan
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.intraoperative_scan import IntraoperativeSpheres
+from procedures.steps.clinical.fiducial_localization import IntraoperativeSpheres
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, JournalValue, read_chain

@@ -7,17 +7,12 @@ A sphere keeps its number in the CT; one that is new since then has a number aft
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping, Sequence
 from datetime import date
 from itertools import count
 from math import dist
 from pathlib import Path
-from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
-from pydantic import Field
 
 from procedures.engine.case import Case
 from procedures.engine.context import StepContext
@@ -32,12 +27,12 @@ from procedures.imaging.dicom.slice_headers import (
 )
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.localizers import LOCALIZERS
-from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker, ScanDeformation
+from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker
 from procedures.imaging.pictures import draw_markers
 from procedures.imaging.scan_deformation import require_undeformed
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import AIR_HU, OUTSIDE_FIELD_HU, Volume
-from procedures.intraoperative.bone_pose import BonePose, PoseEstimate, register_bone
+from procedures.intraoperative.bone_pose import BonePose, register_bone
 from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING, TooFewWhole
 from procedures.intraoperative.placement import (
     SAME_SPHERE_MM,
@@ -47,129 +42,25 @@ from procedures.intraoperative.placement import (
     place_scan,
     require_certain,
 )
-from procedures.journal.results import Values
 from procedures.operator.question import Question, Task, Topic
-from procedures.planning.target_error import scan_errors
-from procedures.registration.error_sources import SCAN_PLACE
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.rigid_fit import pose_jacobian
-from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.fiducial_localization import (
+    IntraoperativeSpheres,
+    LocalizedFiducials,
+    ScannedSphere,
+    UnusedSphere,
+    hash_series,
+)
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.conditions import needs_arm_home
-from ronna_hw.arrays import Array
-from ronna_hw.calibration import Numbers3
-from ronna_hw.evidence.manifest import sha256_of
 from ronna_hw.text import format_count
 from ronna_hw.vectors import vector3
 from ronna_hw.wire.room_tasks import SCAN
 
 CUT = "is cut off by the field of view"  # as the localizer says of a sphere that it refuses for that
 READING, LOCALIZING, PLACING = 0.2, 0.4, 0.5  # shares of the work done before
-
-SixVectors = Annotated[tuple[Numbers3, ...], Field(min_length=6, max_length=6)]
-
-
-class ScannedSphere(Values):
-    """Sphere that the scan shows, and what became of it since the CT."""
-
-    fiducial: int = Field(description="Its index in the CT; one that is new since then follows after those.")
-    in_scan_mm: Numbers3 = Field(description="Centre in the scan, LPS.")
-    sigma_mm: float = Field(description="Stated 3-D rms error of the centre.")
-    is_cut: bool = Field(description="The field of the scan cuts it or its surroundings.")
-    moved_mm: float | None = Field(description="Distance from its place at the CT; none if it is new.")
-    agrees: bool = Field(description="It took part in the adjustment with the bone.")
-
-
-class UnusedSphere(Values):
-    """Sphere of the CT that the scan does not show well enough to be used."""
-
-    fiducial: int = Field(description="Its index in the CT.")
-    reason: str = Field(description="Why it is not used.")
-
-
-class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan", version=2):
-    """Spheres found in a scan of the clamped head, in the coordinates of the planning CT.
-
-    A sphere of the CT that it does not show keeps its index and its place in the CT, and is not measured.
-    """
-
-    ct_from_scan: FusedPose = Field(description="Pose planning CT <- scan.")
-    ct_deformation: ScanDeformation | None = Field(
-        default=None, description="Stretch and shear of the CT, which act on the targets; none if unknown."
-    )
-    files_sha256: str = Field(description="SHA-256 of the names and contents of the scan's DICOM files.")
-    place_middle_mm: Numbers3 = Field(
-        description="Point of the CT about which the pose's rotation is stated."
-    )
-    place_turns_rad: SixVectors = Field(
-        description="Of six independent errors of the pose, of one standard deviation each, the rotation "
-        "about that point, in the CT."
-    )
-    place_shifts_mm: SixVectors = Field(description="The shifts of the same six errors.")
-    bone_agreement: float = Field(description="Correlation of the bone of both scans.")
-    agreeing_starts: int = Field(description="Starting poses of the bone that led to this one.")
-    starts: int = Field(description="Starting poses tried.")
-    spheres: tuple[ScannedSphere, ...] = Field(description="Those that the scan shows, in their order.")
-    unused: tuple[UnusedSphere, ...] = Field(
-        default=(), description="Spheres of the CT that the scan does not show, or not whole."
-    )
-    expected_mm: Mapping[str, float] = Field(
-        description="Expected rms error of the scan's place at each target, by trajectory."
-    )
-
-    since: ClassVar[str] = "the scan during the operation"
-
-    @property
-    def shown(self) -> tuple[int, ...]:
-        """Indices of the spheres that the scan shows."""
-        return tuple(one.fiducial for one in self.spheres)
-
-    def file_differences(self, series: Path) -> str:
-        """Say how the files in `series` differ from the scan that was taken; empty if they do not.
-
-        Raises CT-001, CT-005.
-        """
-        return "" if hash_series(series) == self.files_sha256 else "files changed, missing or added"
-
-    def count_expected(self, implanted: int) -> int:
-        """Return the number of spheres to match: those that the smaller field shows."""
-        return min(implanted, len(self.shown))
-
-    def seating_mm(self, stated_mm: float) -> float:
-        """Return no error: the spheres were scanned as they sit."""
-        return 0.0
-
-    def scan_errors(self, spheres_mm: Array, target_mm: ArrayLike, rotation: Array) -> SharedErrors:
-        """Return the errors of two stretched or sheared scans: of this one at spheres, of the CT at a target.
-
-        The CT is placed by the spheres above all, so its error grows with the distance from them.
-        """
-        pose = self.ct_from_scan.rigid
-        to_scan, turn = pose.inv(), pose.rotation.as_matrix()
-        own = scan_errors(
-            self.deformation,
-            to_scan.apply(spheres_mm),
-            to_scan.apply(np.asarray(target_mm, dtype=float)),
-            rotation @ turn,
-        )
-        of_ct = scan_errors(self.ct_deformation, spheres_mm, target_mm, rotation)
-        return SharedErrors(
-            own.source,
-            np.concatenate([own.at_spheres_mm, np.zeros_like(of_ct.at_spheres_mm)], axis=2),
-            np.concatenate([np.zeros_like(own.at_target_mm), of_ct.at_target_mm], axis=1),
-        )
-
-    def place_errors(
-        self, target_mm: Sequence[float], rotation: Array, spheres: int
-    ) -> tuple[SharedErrors, ...]:
-        """Return the error of the scan's place in the CT, which carries all spheres along."""
-        pose = estimate_of(self)
-        sizes = np.linalg.cholesky(pose.covariance)
-        there_mm = rotation @ pose_jacobian(np.array(target_mm), pose.middle_mm) @ sizes
-        return (SharedErrors(SCAN_PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
 
 
 def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
@@ -258,12 +149,6 @@ def describe_scan(series: Path) -> str:
     identity = read_scan_identity(series)
     made = f"of {identity.date}" if identity.date else "without a date"
     return f"{format_count(len(files), 'file')} {made}"
-
-
-def hash_series(series: Path) -> str:
-    """Return the SHA-256 of the names and contents of the DICOM files in a folder. Raises CT-001, CT-005."""
-    listed = "".join(f"{path.name} {sha256_of(path)}\n" for path in list_dicom_files(series))
-    return hashlib.sha256(listed.encode()).hexdigest()
 
 
 def used_spheres(case: Case) -> LocalizedFiducials:
@@ -363,12 +248,6 @@ def _scanned(markers: tuple[Marker, ...]) -> ScannedSpheres:
     return ScannedSpheres(
         np.array([one.centre_mm for one in markers]), np.array([one.covariance_mm2 for one in markers])
     )
-
-
-def estimate_of(result: IntraoperativeSpheres) -> PoseEstimate:
-    """Return the place of the scan in the CT, as recorded."""
-    errors = np.hstack([result.place_turns_rad, result.place_shifts_mm])
-    return PoseEstimate(result.ct_from_scan.rigid, np.array(result.place_middle_mm), errors.T @ errors)
 
 
 def _record(

@@ -23,6 +23,7 @@ from procedures.planning.guide import (
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.planning.target_error import fusion_errors
 from procedures.registration import Registration, RoomPoint, TwoWayTable, verify_two_way
+from procedures.registration.arm_learning import LARGEST_CORRECTION, LearnedTarget
 from procedures.registration.error_sources import (
     CT,
     DIRECTION,
@@ -267,6 +268,7 @@ def predict_tip_error(
     )
     by_head = [held.turn_errors_back(one) for one in sources]
     worst, learned = pairs.find_unnoticed(tip_mm, by_head), pairs.predict(tip_mm, by_head)
+    require_believable(learned, target)
     predicted = learned.prediction
     prediction = Prediction(
         target=target,
@@ -281,6 +283,20 @@ def predict_tip_error(
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
     return prediction, held.turn_correction(learned.shift_mm)
+
+
+def require_believable(learned: LearnedTarget, target: str) -> None:
+    """Raise PRO-007 if a learned correction is beyond what the stated errors let one believe."""
+    if learned.is_believable:
+        return
+    wanted, limit = format_distinct(float(np.linalg.norm(learned.shift_mm)), learned.largest_mm, 2)
+    raise GateFailed(
+        f"the looks would send the arm too far beside {target} for the errors that are stated of it",
+        limit=f"{limit} mm, {LARGEST_CORRECTION:g} times what is stated of the arm and predicted of the rest",
+        got=f"{wanted} mm",
+        action="Check which arm, stereo head and guide the calibrations were made of, and calibrate what has "
+        "changed. Another strategy would not notice it.",
+    )
 
 
 def _advise_on_moved(moved: list[int], spheres: int) -> str:

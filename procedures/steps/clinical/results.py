@@ -152,7 +152,9 @@ class LearnedArm(Values):
 class RegisteredRobot(StepResult, kind="registration"):
     """Pose of the CT in the robot frame, with the predicted error at its targets."""
 
-    robot_from_ct: FramedPose = Field(description="Fine pose robot <- CT.")
+    robot_from_ct: FramedPose = Field(
+        description="Fine pose robot <- CT of the head as registered, the same for all targets."
+    )
     pairs: int = Field(description="Spheres it was fitted to.")
     fre_mm: float = Field(description="Fiducial registration error: not a measure of accuracy.")
     residuals_mm: tuple[Numbers3, ...] = Field(description="Of each sphere, robot frame.")
@@ -193,6 +195,11 @@ class RegisteredRobot(StepResult, kind="registration"):
         if not corrections_mm or trajectory not in corrections_mm:
             return pose
         return pose.displace(corrections_mm[trajectory])
+
+    def correction_mm(self, trajectory: str | None) -> Numbers3:
+        """Return the correction learned for a target, (3,) mm, robot frame; zero without one."""
+        corrections_mm = {} if self.learned is None else self.learned.corrections_mm
+        return corrections_mm.get(trajectory or "", (0.0, 0.0, 0.0))
 
     def found_in_ct_mm(self, measured: Relocalization) -> dict[int, Array]:
         """Return where the stereo head found each sphere, through this fit, by its index in the CT."""

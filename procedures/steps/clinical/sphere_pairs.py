@@ -204,7 +204,7 @@ class LookedPairs:
         residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
         weights = None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2)
         return LearnedTarget(
-            NO_SHIFT, predict_target_error(fit.physical_mm, tip_mm, sources, weights, residual)
+            NO_SHIFT, predict_target_error(fit.physical_mm, tip_mm, sources, weights, residual), stated_mm=0.0
         )
 
     def learned(self, shifts_mm: Mapping[str, Array]) -> None:

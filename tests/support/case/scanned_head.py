@@ -6,7 +6,7 @@ import numpy as np
 
 from procedures.fusion.record import FusedPose
 from procedures.imaging.markers import Marker
-from procedures.steps.clinical.intraoperative_scan import IntraoperativeSpheres, ScannedSphere
+from procedures.steps.clinical.fiducial_localization import IntraoperativeSpheres, ScannedSphere
 from ronna_hw.vectors import vector3
 
 SCAN_SIGMA_MM = 0.02

@@ -621,6 +621,7 @@ ELSEWHERE = {
     "CT_DISAGREEMENT": "a fault of the scanner: the result says so, and the case goes on",
     "CART_MISPLACED": "a proposed place in the folder of the case",
     "MIRRORED_CT": "a CT or a plan that is mirrored before the case begins",
+    "CORRECTION_BEYOND": "calibrations of another arm or head, whose errors the residual does not show",
     "MOVE_FOLLOWED": "an operator who repeats the registration",
     "REFERENCE_UNDECIDED": "the frame of the patient on the head clamp, which its scene does not have",
     "NOT_CLEAR_NOW": "a registration far from the coarse one",

@@ -197,7 +197,8 @@ def test_an_unwritable_path_is_reported(tmp_path: Path) -> None:
 
 def test_plain_files_contain_names_centres_and_uncertainties() -> None:
     ct = CtIdentity("1.2.826.0.1.1", "1.2.826.0.1.2", "1.2.826.0.1.3")
-    row = "M1,12.345678,-0.001,100.0,0.0123,LPS,ct,mm,1.2.826.0.1.1,1.2.826.0.1.2,1.2.826.0.1.3"
+    place = "12.345678,-0.001,100.0"
+    row = f"M1,{place},0.0123,{place},LPS,ct,mm,1.2.826.0.1.1,1.2.826.0.1.2,1.2.826.0.1.3"
     assert table(NUMBERED, ct).splitlines()[1] == row
     assert '"coordinateSystem": "LPS"' in slicer_markups(NUMBERED, ct)
     assert "-80.0" in slicer_markups(NUMBERED, ct)

@@ -21,6 +21,7 @@ from prepared_results import (
     registered_robot,
 )
 from pydicom import dcmread
+from scanned_head import scanned_spheres
 from scipy.spatial.transform import Rotation
 from whole_run import IN_CT, PLAN, TOO_DEEP_MM, TRUE, whole_run
 
@@ -30,7 +31,9 @@ from procedures.exchange.errors import NOT_WRITABLE, NOTHING_TO_EXPORT, UNKNOWN_
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
 from procedures.reporting.outcome import Truth
-from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.results import LearnedArm, RegisteredRobot
+from ronna_hw import load_run
 from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.manifest import RAW_FOLDER, seal
 from ronna_hw.frames import Frame, Transform
@@ -289,3 +292,77 @@ def test_pictures_kept_in_a_run_are_not_exported(finished: Path, tmp_path: Path)
     assert {path.suffix for path in written} == {Path(name).suffix for name in FILES}
     assert sorted(written) == sorted(path for path in (tmp_path / "export").rglob("*") if path.is_file())
     assert not any(b"a picture" in path.read_bytes() for path in written)
+
+
+@pytest.mark.hazard(67)
+def test_the_head_as_registered_has_one_pose_in_every_file_and_the_learned_correction_a_place_of_its_own(
+    tmp_path: Path,
+) -> None:
+    done, correction_mm = fit(FIRST, 1.0), (1.0, 3.0, -2.0)
+    learned = LearnedArm(
+        looks=5,
+        share=1.0,
+        scatter_mm=0.0,
+        fiducials=(),
+        spheres_robot_mm=(),
+        corrections_mm={FIRST: correction_mm},
+    )
+    done = done.model_copy(update={"learned": learned})
+    out, key = tmp_path / "export", StepKey("registration", FIRST)
+    run = recorded_run(tmp_path / "run", *IN_CT, (StepKey("plan_check"), PLAN), (key, done))
+    export_run(run, out)
+    matrix, loaded = done.robot_from_ct.transform.as_matrix(), load_run(run)
+    (row,) = csv.DictReader((out / "registrations.csv").read_text().splitlines())
+    (said,) = json.loads((out / "registrations.json").read_text())["registrations"]
+    read = dcmread(out / f"registration-{FIRST}.dcm").RegistrationSequence[1]
+    in_dicom = read.MatrixRegistrationSequence[0].MatrixSequence[0].FrameOfReferenceTransformationMatrix
+    np.testing.assert_allclose(np.array(in_dicom, dtype=float).reshape(4, 4), matrix, atol=1e-12)
+    in_table = [float(row[f"m{i}{j}"]) for i in range(1, 4) for j in range(1, 5)]
+    np.testing.assert_allclose(in_table, matrix[:3].ravel(), atol=1e-12)
+    np.testing.assert_allclose(said["robot_from_ct"]["translation_mm"], matrix[:3, 3])
+    in_ct = loaded.registration(FIRST)
+    np.testing.assert_allclose(loaded.robot_from_ct(FIRST).as_matrix(), matrix)
+    np.testing.assert_allclose(in_ct.robot_from_ct.as_matrix(), matrix)
+    np.testing.assert_allclose(loaded.registrations.robot_from_ct_mm, [matrix[:3, 3]])
+    assert tuple(said["correction_mm"]) == correction_mm
+    assert tuple(float(row[f"correction_{axis}_mm"]) for axis in "xyz") == correction_mm
+    target = loaded.targets[loaded.targets.name == FIRST][0]
+    assert tuple(target.correction_robot_mm) == correction_mm
+    sent_mm = in_ct.sent_robot_from_ct.apply(target.target_ct_mm)
+    np.testing.assert_allclose(sent_mm, in_ct.robot_from_ct.apply(target.target_ct_mm) + correction_mm)
+    np.testing.assert_allclose(sent_mm, target.target_robot_mm)
+
+
+@pytest.mark.hazard(68)
+def test_after_a_scan_of_the_clamped_head_its_spheres_are_exported_beside_those_of_the_ct(
+    tmp_path: Path,
+) -> None:
+    out, scanned = tmp_path / "export", scanned_spheres()
+    in_ct = IN_CT[1][1]
+    assert isinstance(in_ct, LocalizedFiducials)
+    results = (
+        *IN_CT,
+        (StepKey("intraoperative_scan"), scanned),
+        (StepKey("registration"), registered_robot()),
+    )
+    run = recorded_run(tmp_path / "run", *results)
+    export_run(run, out)
+    rows = list(csv.DictReader((out / "spheres.csv").read_text().splitlines()))
+    listed, loaded = json.loads((out / "spheres.json").read_text())["spheres"], load_run(run)
+    points = dcmread(out / "spheres.dcm").FiducialSetSequence[0].FiducialSequence
+    assert len(rows) == len(listed) == len(points) == len(loaded.spheres) == len(scanned.shown)
+    used_mm, place_mm = scanned.markers[0].centre_mm, in_ct.markers[0].centre_mm
+    assert tuple(float(rows[0][name]) for name in ("L_mm", "P_mm", "S_mm")) == used_mm
+    assert tuple(float(rows[0][f"planning_ct_{axis}_mm"]) for axis in "LPS") == place_mm
+    assert (tuple(listed[0]["centre_mm"]), tuple(listed[0]["planning_ct_mm"])) == (used_mm, place_mm)
+    np.testing.assert_allclose(np.array(points[0].ContourData, dtype=float), used_mm)
+    for table, column in (
+        (loaded.spheres, "centre_ct_mm"),
+        (loaded.registration(FIRST).spheres, "expected_ct_mm"),
+    ):
+        np.testing.assert_allclose(table[column][0], used_mm)
+        np.testing.assert_allclose(table.planning_ct_mm[0], place_mm)
+        assert np.isnan(table.planning_ct_mm[len(in_ct.markers)]).all()  # new since the CT
+    assert rows[len(in_ct.markers)]["planning_ct_L_mm"] == ""
+    used = dcmread(out / "registration-all.dcm").RegistrationSequence[1].UsedFiducialsSequence[0]
+    assert used.ReferencedSOPInstanceUID == dcmread(out / "spheres.dcm").SOPInstanceUID

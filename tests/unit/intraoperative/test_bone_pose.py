@@ -64,6 +64,7 @@ def test_a_truncated_scan_is_placed_in_the_ct_by_its_bone(
     )
 
 
+@pytest.mark.hazard(68)
 def test_the_scan_of_another_head_is_refused(scene: Scene, volume: Volume) -> None:
     other = scene.model_copy(
         update={"head": scene.head.model_copy(update={"semi_axes_mm": (85.0, 80.0, 100.0)})}

@@ -79,6 +79,7 @@ def test_spheres_that_sit_as_in_the_ct_are_noticed_and_refitted_ones_are_not() -
         assert not are_unmoved(placed, SEATING_MM)
 
 
+@pytest.mark.hazard(68)
 @pytest.mark.parametrize("by_mm", [(1.0, 0.0, 0.0), (0.0, -2.0, 1.5)])
 def test_a_sphere_that_moved_since_the_ct_is_named_and_takes_no_part(
     by_mm: tuple[float, float, float],
@@ -97,6 +98,7 @@ def test_a_sphere_on_another_screw_is_no_pair() -> None:
     assert [(pair.scan, pair.ct) for pair in placed.pairs] == [(0, 0), (1, 1), (2, 2), (3, 3)]
 
 
+@pytest.mark.hazard(68)
 def test_spheres_that_moved_together_contradict_the_bone() -> None:
     moved_mm = CT_MM + np.array([0.0, 1.5, 0.0])
     with raises(SpheresContradict, match="5 spheres keep their distances"):
@@ -123,11 +125,13 @@ def test_a_sphere_that_moved_alone_is_named_even_if_all_still_fit_each_other(
         assert [pair.ct for pair in placed.pairs if not pair.agrees] == [2], seed
 
 
+@pytest.mark.hazard(68)
 def test_a_mirrored_scan_contradicts_the_bone_of_a_symmetric_head() -> None:
     with raises(SpheresContradict, match="hardly any sphere"):
         place_scan(bone(), spheres(in_scan(CT_MM * (-1.0, 1.0, 1.0))), spheres(CT_MM), SEATING_MM)
 
 
+@pytest.mark.hazard(68)
 def test_a_place_that_is_too_uncertain_at_a_target_is_refused() -> None:
     with raises(BoneUncertain, match="place of the scan"):
         require_certain(bone(sigma_mm=0.4), TARGET_MM)

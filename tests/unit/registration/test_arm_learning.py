@@ -99,6 +99,23 @@ def test_a_moved_head_leaves_no_residual_and_moves_the_target_with_it() -> None:
     np.testing.assert_allclose(places, SPHERES + moved[:5], atol=1e-9)
 
 
+@pytest.mark.hazard(67)
+@pytest.mark.parametrize(("share", "is_believable"), [(1.0, True), (2.0, True), (20.0, False)])
+def test_a_correction_is_believed_up_to_a_multiple_of_what_is_stated_of_the_arm(
+    share: float, *, is_believable: bool
+) -> None:
+    points, arm, others = SPHERES[list(TWICE)], arm_errors(10), other_errors()
+    random, believed = np.random.default_rng(21), []
+    for _ in range(20):
+        size = share * random.choice([-1.0, 1.0], size=arm.at_target_mm.shape[1])
+        looks = Looks(-arm.at_spheres_mm @ size, points, [arm], others)
+        learned = ArmLearning.of(looks).at_target(TARGET, [arm], others)
+        assert learned.stated_mm == pytest.approx(np.linalg.norm(arm.at_target_mm))
+        believed.append(learned.is_believable)
+    assert all(believed) if is_believable else not all(believed)
+
+
+@pytest.mark.hazard(67)
 @pytest.mark.parametrize("share", [0.5, 1.0, 2.0])
 def test_the_limit_holds_on_arms_better_and_worse_than_stated(share: float) -> None:
     random, points = np.random.default_rng(31), SPHERES[list(TWICE)]
@@ -124,6 +141,7 @@ def test_an_arm_worse_than_stated_is_noticed() -> None:
     assert shares[0] < 1.0 < shares[1]
 
 
+@pytest.mark.hazard(67)
 def test_looks_that_scatter_more_than_any_hypothesis_leave_a_residual_that_is_refused() -> None:
     random, points = np.random.default_rng(4), SPHERES[list(TWICE)]
     residuals, _ = draw_residuals(random, arm_errors(10), 1.0)

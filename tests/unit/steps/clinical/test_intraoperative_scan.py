@@ -15,7 +15,7 @@ from pydicom import dcmread
 from scanned_head import PLACE_SIGMA_MM, scanned_spheres
 from scipy.spatial.transform import RigidTransform
 
-from procedures.engine.case import results_of
+from procedures.engine.case import results_of, stand_ins
 from procedures.engine.context import StepContext
 from procedures.engine.methods import CaseMethods
 from procedures.fusion.record import FusedPose
@@ -30,10 +30,9 @@ from procedures.planning.target_error import scan_errors
 from procedures.registration.error_sources import SCAN_PLACE
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 from procedures.steps.clinical import intraoperative_scan
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.fiducial_localization import IntraoperativeSpheres, LocalizedFiducials
 from procedures.steps.clinical.intraoperative_scan import (
     STEP,
-    IntraoperativeSpheres,
     _record,
     find_unused,
     localize_whole,
@@ -103,6 +102,14 @@ def test_no_more_spheres_are_expected_in_the_room_than_the_scan_shows() -> None:
     assert scanned_spheres().count_expected(5) == 4
 
 
+@pytest.mark.hazard(68)
+def test_results_that_stand_in_for_others_are_defined_beside_them_so_that_every_reader_knows_them() -> None:
+    for model in (step.result for step in clinical_steps(intraoperative=True)):
+        for stand_in in stand_ins(model).values():
+            assert stand_in.__module__ == model.__module__
+
+
+@pytest.mark.hazard(68)
 def test_a_record_of_the_scan_is_read_where_spheres_of_the_ct_are_asked_for() -> None:
     result = scanned_spheres()
     record = Record(
@@ -119,6 +126,7 @@ def test_a_record_of_the_scan_is_read_where_spheres_of_the_ct_are_asked_for() ->
     assert stored.result == result
 
 
+@pytest.mark.hazard(68)
 def test_a_person_says_that_the_scan_is_of_the_head_as_clamped_and_a_no_takes_nothing_from_it(
     tmp_path: Path,
 ) -> None:
@@ -139,6 +147,7 @@ def test_a_person_says_that_the_scan_is_of_the_head_as_clamped_and_a_no_takes_no
     assert engine.case.find(IntraoperativeSpheres, None) is None
 
 
+@pytest.mark.hazard(68)
 @pytest.mark.parametrize("share", [0.0, 0.7], ids=["as in the CT", "refitted"])
 def test_spheres_that_all_sit_as_in_the_ct_are_asked_about_and_a_no_ends_the_step_without_a_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share: float
@@ -187,6 +196,7 @@ def test_spheres_that_all_sit_as_in_the_ct_are_asked_about_and_a_no_ends_the_ste
     assert engine.case.find(IntraoperativeSpheres, None) is None
 
 
+@pytest.mark.hazard(68)
 def test_a_sphere_keeps_its_number_of_the_ct_and_a_new_one_comes_after_those() -> None:
     pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), np.eye(6))
     placed = PlacedScan(pose, (SpherePair(0, 3, 0.1, True), SpherePair(2, 0, 0.1, True)))
@@ -221,6 +231,7 @@ def test_a_sphere_that_the_scan_does_not_show_keeps_its_number_and_is_not_measur
     assert len(result.markers) == 4
 
 
+@pytest.mark.hazard(68)
 def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
     scene, other = draw_scene("default", seed=1000), draw_scene("default", seed=1001)
     ct = write_slice(tmp_path / "ct", scene, "20180601", "the CT")
@@ -243,6 +254,7 @@ def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
         ("2018.05.31", "the operation", "older than the planning CT"),
     ],
 )
+@pytest.mark.hazard(68)
 def test_a_scan_that_is_not_known_to_be_later_is_refused(
     tmp_path: Path, date: str, occasion: str, words: str
 ) -> None:
@@ -253,6 +265,7 @@ def test_a_scan_that_is_not_known_to_be_later_is_refused(
         require_scan_of_operation(ct, scan)
 
 
+@pytest.mark.hazard(68)
 def test_a_scan_of_a_nameless_patient_is_refused(tmp_path: Path) -> None:
     scene = draw_scene("default", seed=1000)
     folders = [
