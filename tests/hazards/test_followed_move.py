@@ -11,6 +11,7 @@ from clinical_case import CENTRES_CT_MM, FIRST, LAST, ROBOT_FROM_CT, SPHERES_MM,
 from coded_errors import raises
 from numpy.typing import ArrayLike
 from prepared_results import (
+    ARRIVING,
     checked_paths,
     checked_plan,
     checked_tool,
@@ -35,12 +36,14 @@ from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.strategies.catalogue import find_strategy
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
 
 pytestmark = [pytest.mark.hazard(12), pytest.mark.branch("MOVE_FOLLOWED")]
 
 NAME = f"registration:{FIRST}"
+TOOL_ERROR_MM = np.array([1.6, -1.2, 0.8])  # of an uncalibrated mount
 
 
 def moved_mm(
@@ -150,6 +153,49 @@ def test_the_guide_turns_with_the_head_except_about_its_axis_and_that_is_in_the_
     assert shares[1]["tool frame"] == pytest.approx(expected_mm, abs=1e-3)
     name = "links and joint offsets"  # the arm holds the guide with other joints
     assert shares[1][name] != pytest.approx(shares[0][name], rel=1e-3)
+
+
+def test_the_correction_that_a_learned_arm_is_given_turns_with_the_head(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path, strategy=find_strategy("learning")).carrying(MountedTool.STEREO_HEAD)
+    paths = checked_paths(cell)
+    localizations = {
+        axis: tuple(one.model_copy(update={"approach_signs": ARRIVING}) for one in looks)
+        for axis, looks in paths.localizations.items()
+    }
+    looks = [(axis, one) for axis, some in localizations.items() for one in some]
+    tools = [one.tool_pose.transform.rotation_matrix @ TOOL_ERROR_MM for _, one in looks]
+    spheres_mm = SPHERES_MM[[one.fiducial for _, one in looks]]
+    measured = relocalization(spheres_mm - tools).model_copy(
+        update={
+            "fiducials": tuple(one.fiducial for _, one in looks),
+            "axes": tuple(axis for axis, _ in looks),
+        }
+    )
+    before = (*coarse(), checked_plan(), localized_fiducials(), measured)
+    checked = paths.model_copy(update={"localizations": localizations})
+    after = (mounted_guide(), checked_tool(), positioning.STEP)
+    engine = cell.begin(*before, checked, registration.STEP, *after)
+    engine.run_to(engine.order.find("tool_check"))
+    aimed_mm = aimed_at_mm(cell)
+    about = paths.targets[FIRST].tool_pose.transform.rotation_matrix[:, 0]  # across the axis of the guide
+    cell.tracker.spheres_mm = moved_mm((1.0, -2.0, 0.5), 1.9, about)
+    cell.carrying(MountedTool.GUIDE).settled()
+    with pytest.raises(PatientMoved):
+        run(engine, f"positioning:{FIRST}")
+    run(engine, "registration")
+
+    done = cell.case.get(RegisteredRobot).result
+    assert done.learned is not None
+    assert np.linalg.norm(done.learned.corrections_mm[FIRST]) > 1.0
+    assert done.followed is not None
+    move = done.followed.robot_from_robot.transform
+    assert aimed_at_mm(cell) == pytest.approx(move.apply(aimed_mm), abs=0.01)
+
+
+def aimed_at_mm(cell: ClinicalCell) -> Array:
+    """Return the place that the guide is sent to for the first target, robot frame."""
+    robot_from_ct = cell.case.get(RegisteredRobot).result.robot_from_ct_at(FIRST)
+    return np.asarray(robot_from_ct.apply(checked_plan().trajectory(FIRST).target_mm))
 
 
 def test_the_guide_goes_to_where_the_head_is_now_and_a_second_move_is_detected(tmp_path: Path) -> None:

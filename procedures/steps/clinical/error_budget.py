@@ -134,6 +134,10 @@ class HeldGuide:
             return replace(source, at_target_mm=back @ source.at_target_mm)
         return replace(source, at_target_mm2=back @ source.at_target_mm2 @ back.T)
 
+    def turn_correction(self, shift_mm: Array) -> Array:
+        """Rotate a correction (3,) mm by errors turned back with the head, into the robot frame of now."""
+        return np.asarray(self.head_rotation @ shift_mm)
+
 
 def predict_held_guide(
     context: StepContext, planned: PlannedTrajectory, robot_from_ct: Transform, moved: Transform | None

@@ -217,9 +217,10 @@ def predict_tip_error(
 ) -> tuple[Prediction, Array]:
     """Predict the tip's error at a target from the errors of spheres, arm, guide, instrument and fusion.
 
-    Also returns how far (3,) mm its commanded place is off that by the fit, for what was learned of the arm.
+    Also returns how far (3,) mm, robot frame now, its commanded place is off that by the fit and a followed
+    `move`, for what was learned of the arm.
 
-    Of errors common to spheres and target, only the remainder counts. A followed `move` adds its own error.
+    Of errors common to spheres and target, only the remainder counts. A followed move adds its own error.
     If the spheres disagree by more than all of it states, the limit is widened.
     """
     target, fit, looked = planned.id, pairs.fit, pairs.looked
@@ -272,7 +273,7 @@ def predict_tip_error(
         assumed=localized.assumed_error,
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
-    return prediction, learned.shift_mm
+    return prediction, held.turn_correction(learned.shift_mm)
 
 
 def _advise_on_moved(moved: list[int], spheres: int) -> str:
