@@ -53,11 +53,15 @@ BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm
 
 @dataclass(frozen=True)
 class TurnedPaths:
-    """Paths along the turned axes, with `turns_rad` relative to the planned angles."""
+    """Paths along the turned axes, with `turns_rad` relative to the planned angles.
+
+    `remark` says where the looks are not those that the strategy would choose, and why.
+    """
 
     check: PathCheck
     axes: Axes
     turns_rad: Mapping[str, float]
+    remark: str = ""
 
 
 def choose_free_angles(

@@ -18,9 +18,10 @@ from procedures.planning.free_angle import TurnedPaths
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import find_unclear
 from procedures.planning.paths import solve_visit
-from procedures.planning.visits import ArmSetting, PathCheck, Reached, list_localizations
+from procedures.planning.visits import ArmSetting, PathCheck, Reached, Unmet, list_localizations
 from procedures.registration.look_choice import Candidates, choose_looks
 from procedures.strategies.catalogue import CANDIDATES
+from procedures.strategies.names import DEFAULT_STRATEGY
 from procedures.strategies.strategy import arrival_signs
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
@@ -44,7 +45,7 @@ def choose_learning_looks(
     """Replace the localizations of a passed check by the looks that teach most; others stay unchanged.
 
     Fiducials (n, 3) are in CT mm. At most as many looks are taken as by `ocs`. If the chosen ones cannot be
-    driven, the check stays as it is: every sphere as by `ocs`.
+    driven, the check stays as it is, every sphere as by `ocs`, and `remark` says why.
     """
     check, fiducials = turned.check, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     if not setting.strategy.learns_arm or not check.passed or check.branch is None or not len(fiducials):
@@ -52,16 +53,27 @@ def choose_learning_looks(
     axes = turned.axes.targeted
     targets = check.targets
     looks = list(_list_looks(setting, axes, targets, fiducials, check.branch, sight))
+    unclear: tuple[Unmet, ...] = ()
     for _ in range(CHOICES):
-        if {one.visit.name.fiducial for one in looks} != set(range(len(fiducials))):
-            break
+        missing = set(range(len(fiducials))) - {one.visit.name.fiducial for one in looks}
+        if missing:
+            names = " and ".join(str(one + 1) for one in sorted(missing))
+            return replace(
+                turned, remark=_tell_fallback(f"no pose to choose from sees sphere {names}", unclear)
+            )
         chosen = _order(setting.start_rad, _choose(setting, looks, targets, fiducials, axes))
         found = _check(setting, check, (*chosen, *targets), axes)
         if found.passed:
             return replace(turned, check=found)
-        failed = {problem.pose for problem in found.unmet}
+        unclear = found.unmet
+        failed = {problem.pose for problem in unclear}
         looks = [one for one in looks if one.visit.name not in failed]
-    return turned
+    return replace(turned, remark=_tell_fallback(f"of {CHOICES} choices of looks none is clear", unclear))
+
+
+def _tell_fallback(reason: str, unclear: Sequence[Unmet]) -> str:
+    last = "".join(f"; {one.pose}: {one.reason}" for one in unclear[:1])
+    return f"the looks of {DEFAULT_STRATEGY} are used, not chosen ones: {reason}{last}"
 
 
 def target_of_look(axis: str) -> str:

@@ -204,7 +204,7 @@ def check_plan(
         guided = guided if bore is None else place_guides(plan, bore)
         check = _check_arm(check, guided, fiducials_mm if to_fiducials else None, arm, sight)
         findings += check.findings
-        warnings += _warn_close_at_start(check.motions)
+        warnings += (*check.warnings, *_warn_close_at_start(check.motions))
     return replace(check, findings=tuple(findings), warnings=tuple(warnings))
 
 
@@ -287,7 +287,7 @@ def _check_arm(
     arm: ArmSetting,
     sight: StereoSight | None,
 ) -> PlanCheck:
-    """Add the path check of the arm: findings, or turns and, with a scene, motions."""
+    """Add the path check of the arm: findings, or turns, a remark on looks and, with a scene, motions."""
     from procedures.planning.free_angle import (
         TurnedPaths,
         advice,
@@ -322,7 +322,13 @@ def _check_arm(
     motions: tuple[PreviewedMotion, ...] = ()
     if arm.scene is not None:
         motions = preview_motions(arm, arm.scene, turned.check, turned.axes.targeted)
-    return replace(check, motions=motions, turns_rad=tuple(turned.turns_rad.items()), paths=turned.check)
+    return replace(
+        check,
+        warnings=(turned.remark,) if turned.remark else (),
+        motions=motions,
+        turns_rad=tuple(turned.turns_rad.items()),
+        paths=turned.check,
+    )
 
 
 def _warn_close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:

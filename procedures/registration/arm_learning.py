@@ -86,7 +86,10 @@ class ArmLearning:
 
     @cached_property
     def acceptable(self) -> ResidualCheck:
-        """Residual under the most probable hypothesis that an arm is accepted with, for the gate."""
+        """Residual under the most probable hypothesis that an arm is accepted with, for the gate.
+
+        The largest of these hypotheses would leave less, and explain a moved sphere as well.
+        """
         return self._check(self.judged.acceptable)
 
     @cached_property
@@ -134,8 +137,9 @@ class ArmLearning:
         """Find the sphere whose displacement moves a target (3,) mm furthest with chi-square in its limit.
 
         `rows` are the looks at each sphere, `sources` all errors under the stated sizes, `most_mm` bounds the
-        displacement. A moved sphere makes large errors of the arm more probable, so chi-square is that of the
-        largest with which an arm is accepted. See `target_prediction.find_unnoticed_point`.
+        displacement. A moved sphere makes large errors of the arm more probable. Chi-square is that of the
+        largest with which an arm is accepted, which leaves the smallest residual: an upper bound of what
+        passes the gate. See `target_prediction.find_unnoticed_point`.
         """
         looks, widest = len(self.looks.points_mm), int(np.flatnonzero(ACCEPTABLE)[-1])
         weight = self.planned.weights[widest].reshape(looks, AXES, looks, AXES)

@@ -238,6 +238,8 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     held = place_guides(plan.plan, workcell.tools.guide.bore)
     turned = search.find_paths([one for one in held if one.identifier in context.remaining])
     check = turned.check
+    if turned.remark:
+        context.find(turned.remark)
     motions = preview_motions(setting, scene, check, turned.axes.targeted)
     replaced = {name: one.name for name, one in search.replaced.items()}
     best = search.setting.strategy

@@ -12,6 +12,7 @@ from half_sitting import SIGHT
 from scipy.spatial.transform import Rotation
 from strategy_arms import Stuck
 
+from procedures.planning import learning_looks
 from procedures.planning.errors import (
     MARKERS_ADHESIVE,
     NOT_THE_FRAME,
@@ -34,6 +35,7 @@ from procedures.planning.plan_check import (
 )
 from procedures.planning.plan_file import read_plan
 from procedures.planning.plan_model import FiducialKind
+from procedures.strategies.catalogue import find_strategy
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -239,6 +241,14 @@ def test_a_plan_its_strategy_cannot_reach_names_the_strategies_that_can(plan, ma
         result.require()
     assert "T1 by improved or ocs" in caught.value.advice
     assert "T2" not in caught.value.advice
+
+
+def test_looks_of_ocs_instead_of_chosen_ones_are_a_warning(plan, make_volume, make_arm, monkeypatch):
+    arm = make_arm(strategy=find_strategy("learning"))
+    assert check_plan(plan, make_volume(), fiducials_mm=FOUR, arm=arm, sight=SIGHT).warnings == ()
+    monkeypatch.setattr(learning_looks, "CHOICES", 0)  # as if none were clear
+    (warning,) = check_plan(plan, make_volume(), fiducials_mm=FOUR, arm=arm, sight=SIGHT).warnings
+    assert warning.startswith("the looks of ocs are used, not chosen ones")
 
 
 def triangle(first_mm: float, second_mm: float, third_mm: float) -> np.ndarray:

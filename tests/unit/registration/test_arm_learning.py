@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
-from procedures.registration.arm_adjustment import best_influence
+from procedures.registration.arm_adjustment import PlannedAdjustment, best_influence
 from procedures.registration.arm_hypotheses import (
+    ACCEPTABLE,
     HYPOTHESES,
     STATED,
     Hypothesis,
@@ -145,6 +147,26 @@ def test_a_sphere_that_has_moved_stands_out_until_its_looks_are_left_out() -> No
     assert whole.residual.chi_square > chi_square_limit(whole.residual.freedom, 0.999)
     assert rest.residual.chi_square < chi_square_limit(rest.residual.freedom, 0.999)
     assert rest.residual.freedom == whole.residual.freedom - 6
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0, 2.0])
+def test_the_gate_notices_a_moved_sphere_sooner_than_by_the_largest_errors_and_refuses_no_right_arm(
+    share: float,
+) -> None:
+    random, arm, others = np.random.default_rng(77), arm_errors(10), other_errors()
+    planned = PlannedAdjustment.of(SPHERES[list(TWICE)], [arm], others)
+    largest = int(np.flatnonzero(ACCEPTABLE)[-1])
+    right = np.array([draw_residuals(random, arm, share)[0] for _ in range(300)])
+    moved = right.copy()
+    moved[:, [2, 7]] += 0.6 * Rotation.random(300, random).as_matrix()[:, None, 0]
+    limit = chi_square_limit(24, 0.999)
+    of_right, of_moved = (planned.judge(one.reshape(300, -1)) for one in (right, moved))
+    assert np.mean(of_right.acceptable > limit) <= 0.01
+    assert np.all(of_moved.acceptable >= of_moved.chi_squares[:, largest] - 1e-9)
+    noticed, by_largest = (
+        np.mean(one > limit) for one in (of_moved.acceptable, of_moved.chi_squares[:, largest])
+    )
+    assert noticed > by_largest + 0.05
 
 
 def test_looks_at_one_sphere_share_its_error_and_looks_at_others_do_not() -> None:

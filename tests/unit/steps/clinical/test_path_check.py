@@ -15,12 +15,17 @@ from prepared_results import (
 )
 from recording_cell import RecordingOperator
 from strategy_arms import Stuck
+from watched_case import findings
 
 from procedures.engine.case import Stored
 from procedures.operator.question import Topic
+from procedures.planning import learning_looks
 from procedures.planning.errors import NotReachable
+from procedures.planning.pose_name import PoseKind, PoseName
+from procedures.planning.visits import Unmet
 from procedures.steps.clinical.path_check import STEP, CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.fixed_orientation import NEUTRAL, NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Transform
@@ -67,6 +72,18 @@ def test_a_head_out_of_reach_is_refused_and_the_failing_poses_are_named(cell: Cl
     with pytest.raises(NotReachable, match=r"PLAN-007.*T1/fiducial 0.*T2/target"):
         check(cell, shifted(ROBOT_FROM_CT, (900.0, 0.0, 0.0)))
     assert not any(stored.record.kind == STEP.name for stored in cell.case.valid_results)
+
+
+def test_looks_of_ocs_instead_of_chosen_ones_are_a_finding(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.strategy = find_strategy("learning")
+    unclear = (Unmet(PoseName(PoseKind.TARGET, FIRST), "the guide meets the clamp", ""),)
+    monkeypatch.setattr(learning_looks, "find_unclear", lambda *_: unclear)
+    assert tuple(check(cell).result.localizations) == TRAJECTORIES
+    (found,) = findings(cell)
+    assert found.startswith("the looks of ocs are used")
+    assert found.endswith(f"{FIRST}/target: the guide meets the clamp")
 
 
 def plan_with_one_out_of_reach() -> CheckedPlan:
