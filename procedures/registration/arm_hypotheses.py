@@ -95,6 +95,17 @@ def covariance_with_target(sources: Sequence[Source]) -> Array:
     return covariance
 
 
+def covariance_at_target(sources: Sequence[Source]) -> Array:
+    """Return the covariance (3, 3) mm2 of the target by these sources."""
+    covariance = np.zeros((AXES, AXES))
+    for one in sources:
+        if isinstance(one, SharedErrors):
+            covariance += one.at_target_mm @ one.at_target_mm.T
+        else:
+            covariance += one.at_target_mm2
+    return covariance
+
+
 def _count_looks(source: Source) -> int:
     return len(source.at_spheres_mm if isinstance(source, SharedErrors) else source.at_spheres_mm2)
 
