@@ -49,7 +49,7 @@ class MovedCase:
         planner = plan_case(kind, own, place)
         looks = planner.choose(planner.candidates(), FREE_SPHERES)
         points, targets = planner.sources(looks, np.arange(len(looks.spheres)), range(TARGETS_OF_CASE))
-        registration = LearnedRegistration.of(points, targets)
+        registration = LearnedRegistration.of(points, looks.spheres.tolist(), targets)
         rows = [np.flatnonzero(looks.spheres == one).tolist() for one in range(FREE_SPHERES)]
         return cls(looks.spheres, tuple(targets), registration, PairTest.of(registration.planned, rows))
 

@@ -84,7 +84,8 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
         if predicted.target in left_out:
             continue
         against = _against_margins(plan, predictions, predicted)
-        _confirm_unmoved_spheres(context, predicted, against[0].margin_mm)
+        if learned is not None:  # else one look at each sphere, whose residual shows a move at once
+            _confirm_unmoved_spheres(context, predicted, against[0].margin_mm)
         question = Question(
             Topic.REGISTRATION,
             f"Accept the registration for {predicted.target}?",

@@ -105,7 +105,7 @@ def test_the_limit_holds_on_arms_better_and_worse_than_stated(share: float) -> N
     arm, others = arm_errors(10), other_errors()
     drawn = [draw_residuals(random, arm, share) for _ in range(500)]
     residuals, at_target = (np.array(one) for one in zip(*drawn, strict=True))
-    judged = LearnedRegistration.of(points, [TargetSources(TARGET, [arm], others)]).judge(residuals)
+    judged = LearnedRegistration.of(points, TWICE, [TargetSources(TARGET, [arm], others)]).judge(residuals)
     plain = np.einsum("nij,anj->ai", influence_of_spheres(points, TARGET), residuals)
     learned_mm, plain_mm = (
         np.linalg.norm(one + at_target, axis=1) for one in (judged.shifts_mm[:, 0], plain)
