@@ -52,7 +52,7 @@ class DisplacementTest:
         seen = planned.weights @ flat[:, None]
         known = np.swapaxes(flat, 1, 2)[:, None] @ seen + np.eye(AXES) / displaced_mm**2
         spreads: Array = np.linalg.slogdet(known)[1] + 2.0 * AXES * np.log(displaced_mm)
-        return cls(tuple(groups), flat, seen, np.linalg.inv(known), spreads)
+        return cls(tuple(groups), flat, seen, np.asarray(np.linalg.inv(known), dtype=np.float64), spreads)
 
     def judge(self, residuals_mm: Array, probabilities: Array) -> Displacements:
         """Judge residuals (a, 3m) of arms whose hypotheses have these probabilities (a, h)."""

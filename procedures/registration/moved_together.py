@@ -23,6 +23,7 @@ from procedures.registration.displaced_spheres import Displacements, Displacemen
 from ronna_hw.arrays import Array
 
 DISPLACED_MM = 0.5  # per axis, one standard deviation of a displacement in common (U)
+# Bayes factor beyond which the limit is widened: a larger one leaves more displacements unnoticed.
 # Safety against two spheres that moved together. Source: simulated arms.
 LEAST_FACTOR = 100.0
 

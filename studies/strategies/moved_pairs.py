@@ -12,6 +12,7 @@ import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.registration.arm_hypotheses import Source
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, chi_square_limit, error_limit_mm
@@ -36,7 +37,7 @@ SEED = 7276
 class MovedCase:
     """Looks of one case, prepared for many arms."""
 
-    spheres: Array  # (m,) of each look
+    spheres: NDArray[np.intp]  # (m,) of each look
     targets: tuple[TargetSources, ...]
     registration: LearnedRegistration
     test: PairTest
@@ -121,17 +122,18 @@ def main() -> None:
 
 def _summary(parts: list[dict[str, Array]]) -> dict[str, float | int | None]:
     every = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
-    passed, named = every["passed"], every["named"] & every["passed"]
+    passed, named, right = (every[name].astype(bool) for name in ("passed", "named", "right"))
+    named &= passed
     errors, before, after = (every[name] for name in ("errors_mm", "before_mm", "after_mm"))
 
-    def share(marked: Array, among: Array) -> float | None:
+    def share(marked: NDArray[np.bool_], among: NDArray[np.bool_]) -> float | None:
         return round(100.0 * float(marked[among].mean()), 2) if among.any() else None
 
     return {
         "cases": len(passed),
         "refused_percent": share(~passed, np.ones_like(passed)),
         "named_percent_of_passed": share(named, passed),
-        "right_pair_percent_of_named": share(every["right"], named),
+        "right_pair_percent_of_named": share(right, named),
         "mean_error_mm_of_passed": round(float(errors[passed].mean()), 4) if passed.any() else None,
         "largest_error_mm_of_passed": round(float(errors[passed].max()), 4) if passed.any() else None,
         "within_percent_before": share(errors <= before, passed),
