@@ -7,6 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from procedures.registration.error_sources import (
+    BACKLASH,
+    CT,
+    HARMONICS,
+    IDENTIFIED,
+    LINKS,
+    REPEATABILITY,
+    SERVO,
+    TOOL_FRAME,
+)
 from procedures.registration.target_prediction import AllowedErrors, IndependentErrors, SharedErrors
 from ronna_hw.arm.kinematics import Chain
 from ronna_hw.arrays import Array
@@ -22,7 +32,6 @@ from ronna_hw.calibrated_arm.error_budget import (
 )
 
 REPEATABILITY_MM = 0.015  # per axis, at rest
-REPEATABILITY = "repeatability"  # name of the source whose size no record scales
 SERVO_MM = 0.03  # 3-D rms of the servo's residual
 
 
@@ -60,17 +69,17 @@ def arm_sources(
     if arm is not None:
         columns = by_deviation(chain, joints, points, sides)
         return (
-            _shared_errors("arm and tool frame as identified", columns @ arm.remaining),
+            _shared_errors(IDENTIFIED, columns @ arm.remaining),
             *_backlash(shifts.swings_mm * arm.backlash_rad, sides, 0.0),
             _repeatability_errors(len(spheres.joints_rad), servo_mm, arm.scatter_mm),
         )
     return (
-        _shared_errors("links and joint offsets", shifts.links_mm),
-        _shared_errors("harmonics and sag", _sum_sag(shifts.joints_mm)),
+        _shared_errors(LINKS, shifts.links_mm),
+        _shared_errors(HARMONICS, _sum_sag(shifts.joints_mm)),
         *_backlash(BACKLASH_RAD * shifts.swings_mm, sides, sizes.backlash),
         _repeatability_errors(len(spheres.joints_rad), servo_mm, REPEATABILITY_MM),
         # It turns with the flange; the same in all directions.
-        _shared_errors("tool frame", sizes.tool_mm * flange_rotations(chain, joints)),
+        _shared_errors(TOOL_FRAME, sizes.tool_mm * flange_rotations(chain, joints)),
     )
 
 
@@ -84,7 +93,7 @@ def identified_errors(chain: Chain, spheres: ArmPoses, arm: IdentifiedArm) -> Al
 
 def ct_errors(covariance_mm2: ArrayLike) -> IndependentErrors:
     """Return the spheres' CT errors as independent errors, (n, 3, 3) mm2 in the robot frame."""
-    return IndependentErrors("CT", np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
+    return IndependentErrors(CT, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
 
 
 def _sum_sag(joints_mm: Array) -> Array:
@@ -102,15 +111,15 @@ def _backlash(
 ) -> tuple[SharedErrors | IndependentErrors, ...]:
     """Return what remains of a backlash (p, 3, axes) mm on known sides, and all of it on unknown ones."""
     half = FLANK_SHARE * full_mm
-    known = _shared_errors("backlash", remaining_share * half * sides[:, None, :])
+    known = _shared_errors(BACKLASH, remaining_share * half * sides[:, None, :])
     unknown = half * (sides == 0.0)[:, None, :]
     own = unknown @ unknown.transpose(0, 2, 1)
-    apart = IndependentErrors("backlash", own[:-1], own[-1])
+    apart = IndependentErrors(BACKLASH, own[:-1], own[-1])
     return (*([known] if sides.any() and remaining_share else []), *([apart] if own.any() else []))
 
 
 def _repeatability_errors(spheres: int, servo_mm: float, scatter_mm: float) -> IndependentErrors:
     at_target = np.eye(3) * scatter_mm**2
     at_sphere = at_target + np.eye(3) * servo_mm**2 / 3.0
-    name = f"servo and {REPEATABILITY}" if servo_mm else REPEATABILITY
+    name = SERVO if servo_mm else REPEATABILITY
     return IndependentErrors(name, np.tile(at_sphere, (spheres, 1, 1)), at_target)

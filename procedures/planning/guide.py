@@ -23,7 +23,6 @@ from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arrays import Array
 from ronna_hw.tool_record import GuideBore
 
-INSTRUMENT, DIRECTION = "instrument", "guide direction"
 SET_BY_HAND_MM = 0.03  # accuracy of setting a depth stop by hand, one standard deviation
 
 

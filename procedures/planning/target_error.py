@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from procedures.calibration.arm_sources import REPEATABILITY, ArmPoses, arm_sources, ct_errors
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
 from procedures.imaging.markers import ScanDeformation
 from procedures.imaging.scan_deformation import open_strains
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.guide import (
-    DIRECTION,
-    INSTRUMENT,
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
@@ -30,6 +28,15 @@ from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, PathCheck, Reached
 from procedures.registration.arm_adjustment import predict_before_looks
 from procedures.registration.arm_hypotheses import share_by_sphere
+from procedures.registration.error_sources import (
+    DIRECTION,
+    FUSION,
+    INSTRUMENT,
+    OF_SPHERES,
+    REPEATABILITY,
+    SCAN,
+    SEATING,
+)
 from procedures.registration.target_prediction import (
     IndependentErrors,
     SharedErrors,
@@ -44,10 +51,6 @@ from ronna_hw.arrays import Array
 if TYPE_CHECKING:
     from procedures.planning.theatre_arm import TheatreArm
 
-SCAN = "scan as a whole"
-SEATING = "seating of the spheres"
-FUSION = "fusion"
-OF_SPHERES = ("CT", SEATING)  # of a sphere, however often it is looked at
 USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
 
 

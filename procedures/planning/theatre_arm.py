@@ -12,6 +12,7 @@ from procedures.planning.plan_model import FiducialKind
 from procedures.planning.scene import PlanningScene, build_frame_bodies
 from procedures.planning.tool_records import ToolRecords
 from procedures.planning.visits import ArmSetting
+from procedures.registration.error_sources import GUIDE_TIP, STEREO_HEAD
 from procedures.registration.errors import LayoutNotFound
 from procedures.strategies.strategy import Strategy
 from ronna_hw.arm.motion.planning import require_in_range
@@ -110,7 +111,7 @@ def theatre_arm(
         seating_error_mm=theatre.procedure.seating_error_mm,
         guide_direction_rad=calibration.tool_tip.stated_direction_error_rad,
         at_target_mm=(
-            ("stereo head calibration", calibration.stereo_head.stated_error_mm),
-            ("guide tip calibration", calibration.tool_tip.stated_error_mm),
+            (STEREO_HEAD, calibration.stereo_head.stated_error_mm),
+            (GUIDE_TIP, calibration.tool_tip.stated_error_mm),
         ),
     )

@@ -32,12 +32,12 @@ from procedures.registration.arm_hypotheses import (
     covariance_of,
     covariance_with_target,
 )
+from procedures.registration.error_sources import SIZES
 from procedures.registration.error_theory import error_limit_mm
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import AXES, TargetPrediction, predict_by_influence
 from ronna_hw.arrays import Array
 
-SIZES = "sizes of the arm's errors"
 # Safety against a wrong correction: none is longer than the arm's errors explain (U).
 CORRECTION_CONFIDENCE = 0.999
 

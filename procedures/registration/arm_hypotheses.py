@@ -15,12 +15,11 @@ from itertools import product
 import numpy as np
 from scipy.linalg import block_diag
 
+from procedures.registration.error_sources import LACKING
 from procedures.registration.target_prediction import AXES, IndependentErrors, SharedErrors
 from ronna_hw.arrays import Array
 
 Source = SharedErrors | IndependentErrors
-
-LACKING = "effects that the arm's model lacks"
 
 # Share of the stated sizes, with a log-normal prior: two thirds of all arms are within a factor of two (U).
 SHARES = tuple(2.0 ** (step / 2.0) for step in range(-3, 5))  # 0.35 to 4

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from procedures.registration.arm_adjustment import PlannedAdjustment, PlannedTarget
 from procedures.registration.arm_hypotheses import LARGEST_SHARE, Source, covariance_of
+from procedures.registration.error_sources import TOOL_FRAME
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, chi_square_limit, error_limit_mm
 from procedures.registration.look_checks import LookChecks
 from procedures.registration.rigid_fit import pose_jacobian
@@ -27,7 +28,6 @@ from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM
 
 AXES = 3
-TOOL_FRAME = "tool frame"  # the source whose share the gate of a case takes as common to all looks
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,9 @@ class PlainRegistration:
         arm, others = targets[0].arm, targets[0].others
         weight = _without_pose(np.asarray(np.linalg.inv(covariance_of([*arm, *others]))), pose)
         reserve = np.kron(np.eye(len(points_mm)), arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm))
-        tool = [one for one in arm if one.source == TOOL_FRAME]
+        tool = [
+            one for one in arm if one.source == TOOL_FRAME
+        ]  # common to all looks, as the gate of a case has it
         gate_weight = _without_pose(
             np.asarray(np.linalg.inv(covariance_of([*tool, *others]) + reserve)), pose
         )

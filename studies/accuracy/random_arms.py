@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from procedures.registration import error_sources
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kinematics import Chain, Joint, Kinematics
 from ronna_hw.arrays import Array
@@ -37,12 +38,12 @@ STEPS = 10
 class Source(StrEnum):
     """Source of target error."""
 
-    TOOL = "tool frame"
-    LINKS = "links and joint offsets"
-    JOINTS = "harmonics and sag"
-    BACKLASH = "backlash"
-    CT = "CT"
-    REST = "servo and repeatability"
+    TOOL = error_sources.TOOL_FRAME
+    LINKS = error_sources.LINKS
+    JOINTS = error_sources.HARMONICS
+    BACKLASH = error_sources.BACKLASH
+    CT = error_sources.CT
+    REST = error_sources.SERVO
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,9 @@
 
 A case has its looks first and its targets after them. Every strategy takes its looks in the order of the
 shortest next move, from home; a look takes the same time with each.
+
+Nothing is in the way here. Looks of `learning` are chosen by `look_choice.choose_looks` as in a case,
+but without what `planning.learning_looks` asks of sight, approach and clearance, and with one time for each.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import REPEATABILITY_MM, SERVO_MM, ArmPoses, arm_sources, ct_errors
 from procedures.registration.arm_hypotheses import Source, share_by_sphere
+from procedures.registration.error_sources import SERVO
 from procedures.registration.look_choice import Candidates, choose_looks
 from procedures.strategies.catalogue import CANDIDATES, find_strategy
 from procedures.strategies.names import DEFAULT_STRATEGY
@@ -212,12 +216,9 @@ class CasePlanner:
             self.sizes,
         )
         ct = ct_errors(np.tile(np.eye(AXES) * self.ct_mm**2 / AXES, (len(spheres), 1, 1)))
-        arm: list[Source] = [one for one in listed if one.source != RANDOM]
-        others: list[Source] = [one for one in listed if one.source == RANDOM]
+        arm: list[Source] = [one for one in listed if one.source != SERVO]
+        others: list[Source] = [one for one in listed if one.source == SERVO]
         return TargetSources(self.targets_mm[target], arm, [*others, share_by_sphere(ct, spheres.tolist())])
-
-
-RANDOM = "servo and repeatability"  # source that does not grow with the size of the arm's errors
 
 
 def join(chosen: Sequence[PlannedLooks]) -> PlannedLooks:

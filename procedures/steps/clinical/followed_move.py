@@ -18,6 +18,7 @@ from procedures.guards.room_motion import name_motion
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import FramedPose
+from procedures.registration.error_sources import HEAD_MOVE, STABILITY
 from procedures.registration.movement import RigidMove, fit_rigid_move, identify_points, measure_shift
 from procedures.room.motion import Moved
 from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
@@ -50,8 +51,8 @@ class MeasuredMove:
     def shares_mm(self, place_mm: ArrayLike) -> dict[str, float]:
         """Return the errors by source that following adds at a point (3,) mm, robot frame before the move."""
         return {
-            "measured head movement": self.fit.error_mm(place_mm),
-            "cart and tracker stability": self.record.base_mm,
+            HEAD_MOVE: self.fit.error_mm(place_mm),
+            STABILITY: self.record.base_mm,
         }
 
 

@@ -48,6 +48,7 @@ from procedures.intraoperative.placement import (
 from procedures.journal.results import Values
 from procedures.operator.question import Question, Task, Topic
 from procedures.planning.target_error import scan_errors
+from procedures.registration.error_sources import SCAN_PLACE
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
@@ -62,7 +63,6 @@ from ronna_hw.text import format_count
 from ronna_hw.vectors import vector3
 from ronna_hw.wire.room_tasks import SCAN
 
-PLACE = "place of the scan in the CT"
 CUT = "is cut off by the field of view"  # as the localizer says of a sphere that it refuses for that
 READING, LOCALIZING, PLACING = 0.2, 0.4, 0.5  # shares of the work done before
 
@@ -168,7 +168,7 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
         pose = estimate_of(self)
         sizes = np.linalg.cholesky(pose.covariance)
         there_mm = rotation @ pose.displacements(np.array(target_mm))[0] @ sizes
-        return (SharedErrors(PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
+        return (SharedErrors(SCAN_PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
 
 
 def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:

@@ -18,8 +18,6 @@ from procedures.journal.results import FramedPose
 from procedures.operator.margin import MarginVerdict
 from procedures.operator.question import Picture, PredictedError, Question, Topic
 from procedures.planning.guide import (
-    DIRECTION,
-    INSTRUMENT,
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
@@ -28,6 +26,15 @@ from procedures.planning.target_error import fusion_errors
 from procedures.registration import Registration, RoomPoint, TwoWayTable, verify_two_way
 from procedures.registration.arm_hypotheses import LARGEST_SHARE
 from procedures.registration.arm_learning import LearnedTarget
+from procedures.registration.error_sources import (
+    CT,
+    DIRECTION,
+    GUIDE_TIP,
+    INSTRUMENT,
+    SEATING,
+    STEREO,
+    STEREO_HEAD,
+)
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import IndependentErrors
@@ -48,7 +55,7 @@ from procedures.steps.clinical.results import (
     RegisteredRobot,
     Relocalization,
 )
-from procedures.steps.clinical.sphere_pairs import CT, SEATING, STEREO, Pairs, pairs_of
+from procedures.steps.clinical.sphere_pairs import Pairs, pairs_of
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Frame
@@ -279,8 +286,8 @@ def predict_tip_error(
     plan, bore = context.result(CheckedPlan).plan, context.workcell.tools.guide.bore
     calibrations = context.workcell.calibrations
     at_target_mm = {
-        "stereo head calibration": calibrations.stereo_head.stated_error_mm,
-        "guide tip calibration": calibrations.tool_tip.stated_error_mm,
+        STEREO_HEAD: calibrations.stereo_head.stated_error_mm,
+        GUIDE_TIP: calibrations.tool_tip.stated_error_mm,
         **({} if move is None else move.shares_mm(tip_mm)),
     }
     stated_rad = calibrations.tool_tip.stated_direction_error_rad

@@ -14,12 +14,12 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from procedures.calibration.arm_sources import REPEATABILITY
 from procedures.engine.context import StepContext
 from procedures.registration import Registration, register
 from procedures.registration.arm_hypotheses import Source, at_looks, share_by_sphere
 from procedures.registration.arm_learning import ArmLearning, LearnedTarget, Looks
 from procedures.registration.displaced_spheres import Group
+from procedures.registration.error_sources import CT, OF_SPHERES, REPEATABILITY, SEATING, STEREO
 from procedures.registration.error_theory import FreGate, chi_square_limit
 from procedures.registration.errors import CollinearPoints
 from procedures.registration.look_checks import CheckedLooks, PassingDisplacements
@@ -44,7 +44,6 @@ from procedures.strategies.catalogue import find_strategy
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 
-CT, SEATING, STEREO = "CT", "seating of the spheres", "stereo measurement"
 NO_SHIFT = np.zeros(3)
 # Of the residual without a sphere that is left out: it must explain the disagreement, not only lessen it.
 # Safety against two spheres that have moved (U).
@@ -334,7 +333,7 @@ class LearnedPairs:
         for one in sources:
             if one.source in learned:
                 continue
-            if isinstance(one, IndependentErrors) and one.source in (CT, SEATING):
+            if isinstance(one, IndependentErrors) and one.source in OF_SPHERES:
                 others.append(share_by_sphere(one, self.looked.fiducials))
             else:
                 others.append(one)

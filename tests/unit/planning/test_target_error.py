@@ -18,14 +18,13 @@ from procedures.calibration.arm_model import ArmModel
 from procedures.calibration.arm_sources import REPEATABILITY_MM
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.target_error import (
-    FUSION,
-    SCAN,
     USUAL_SEATING_MM,
     choose_best_strategies,
     predict_arm_error_mm,
     predict_by_markers,
 )
 from procedures.planning.visits import ArmSetting, PathCheck
+from procedures.registration.error_sources import FUSION, SCAN
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strategy

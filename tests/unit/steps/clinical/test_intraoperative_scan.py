@@ -27,10 +27,10 @@ from procedures.intraoperative.placement import PlacedScan, SpherePair
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
 from procedures.planning.target_error import scan_errors
+from procedures.registration.error_sources import SCAN_PLACE
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.intraoperative_scan import (
-    PLACE,
     STEP,
     IntraoperativeSpheres,
     find_unused,
@@ -71,7 +71,7 @@ def test_seating_no_longer_counts_and_the_place_of_the_scan_does() -> None:
     result = scanned_spheres()
     assert result.seating_mm(0.05) == 0.0
     (place,) = result.place_errors((0.0, 0.0, 0.0), np.eye(3), 4)
-    assert place.source == PLACE
+    assert place.source == SCAN_PLACE
     assert np.all(place.at_spheres_mm == 0.0)
     variance_mm2 = float(np.sum(np.asarray(place.at_target_mm) ** 2))
     assert variance_mm2 == pytest.approx(3.0 * PLACE_SIGMA_MM**2)

@@ -32,7 +32,7 @@ from procedures.imaging.localizers import Localizer
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
-from procedures.planning.target_error import FUSION
+from procedures.registration.error_sources import FUSION
 from procedures.steps.clinical.registration import STEP
 from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from procedures.steps.clinical.unnoticed import BASE, GUIDE, HEAD, expect_unnoticed

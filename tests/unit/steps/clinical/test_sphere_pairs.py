@@ -10,15 +10,18 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.journal.results import FramedPose
-from procedures.planning.target_error import SCAN
-from procedures.registration.arm_hypotheses import LACKING
+from procedures.registration.error_sources import (
+    CT,
+    LACKING,
+    REPEATABILITY,
+    SCAN,
+    SEATING,
+    STEREO,
+    TOOL_FRAME,
+)
 from procedures.registration.target_prediction import AllowedErrors, IndependentErrors, SharedErrors
 from procedures.steps.clinical.path_check import LocalizationPose
 from procedures.steps.clinical.sphere_pairs import (
-    CT,
-    REPEATABILITY,
-    SEATING,
-    STEREO,
     LearnedPairs,
     LookedPairs,
 )
@@ -75,7 +78,7 @@ def pairs(
             allowed=AllowedErrors(small, TOOL_MM * turns),
         ),
         (
-            SharedErrors("tool frame", TOOL_MM * turns, TOOL_MM * np.eye(3)),
+            SharedErrors(TOOL_FRAME, TOOL_MM * turns, TOOL_MM * np.eye(3)),
             IndependentErrors(REPEATABILITY, np.tile(np.eye(3) * REST_MM**2, (len(rows), 1, 1)), nothing),
         ),
     )
@@ -133,8 +136,8 @@ def test_the_prediction_has_the_spheres_the_arm_and_what_its_model_lacks() -> No
     some = pairs(np.random.default_rng(1))
     mapped_mm = np.asarray(some.fit.transform.apply(TARGET_MM))
     found = some.predict(mapped_mm, sources_at_target(some, np.eye(3))).prediction
-    assert {CT, SEATING, STEREO, "tool frame", LACKING} <= set(found.budget_mm)
-    assert found.budget_mm["tool frame"] < 0.1 * TOOL_MM
+    assert {CT, SEATING, STEREO, TOOL_FRAME, LACKING} <= set(found.budget_mm)
+    assert found.budget_mm[TOOL_FRAME] < 0.1 * TOOL_MM
     assert found.limit_mm() > found.rms_mm
 
 
