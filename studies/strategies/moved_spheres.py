@@ -1,4 +1,4 @@
-"""One sphere that moved since the scan, with strategy `learning` and with `ocs`: what is refused, what passes.
+"""One sphere that moved since the scan, with strategies `learning` and `ocs`: what is refused, what passes.
 
 Each sphere of three, four and five is displaced in random directions. Arms, CT and noise are drawn from what
 is stated, the arms also twice as bad. What passes reaches its targets, with the limit that it states. For
@@ -30,8 +30,8 @@ from studies.strategies.study import DEPTHS_MM
 CASES = ((29, 46), (30, 55))  # place, first trajectory
 SIZES_MM = (0.0, 0.5, 1.0, 2.0)
 SHARES = (1.0, 2.0)
-ARMS = 60  # of each sphere, size and share in each case
-BOUND_ARMS = 4  # of those that pass, in each case
+ARMS = 40  # of each sphere, size and share in each case
+BOUND_ARMS, BOUND_AT_MM = 2, 0.5  # of those that pass in each case, with this displacement
 SEED = 7377
 Row = dict[str, Array]
 
@@ -83,7 +83,7 @@ def run_learning(
         "errors_mm": np.linalg.norm(judged.shifts_mm + drawn.errors_mm, axis=2),
         "limits_mm": judged.limits_mm(),
     }
-    if size_mm > 0.0:
+    if size_mm == BOUND_AT_MM:
         checked = random.permutation(np.flatnonzero(passed))[:BOUND_ARMS]
         found["bounds"] = np.array([_is_bounded(registration, drawn, int(arm)) for arm in checked])
     return found
