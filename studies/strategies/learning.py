@@ -322,9 +322,10 @@ class Bench:
 
 
 def _predicted_mm2(prepared: Prepared) -> Array:
-    """Return the predicted mean square error (t,) at each target."""
+    """Return the predicted mean square error (t,) at each target, of looks that learn nothing."""
     found = np.empty(len(prepared.looks.used))
     for group, _, registration in prepared.registrations:
+        assert isinstance(registration, PlainRegistration)
         found[list(group)] = np.trace(registration.covariances_mm2, axis1=1, axis2=2)
     return found
 
