@@ -26,7 +26,8 @@ from ronna_hw.arrays import Array
 DISPLACED_MM = (0.3, 1.0)
 # Odds before the looks that any one sphere has moved, and any two alike. (U)
 MOVED_ODDS, MOVED_ALIKE_ODDS = 1.0 / 20.0, 1.0 / 1000.0
-# Safety against a moved sphere that is taken for an error of the arm: more probable than not.
+# More probable than not.
+# Safety against a moved sphere that is taken for an error of the arm (U).
 MOST_PROBABLE = 0.5
 # Of the probability of any displacement: groups below this share do not count as its cause (U).
 LEAST_SHARE = 0.05
