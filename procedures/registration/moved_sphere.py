@@ -15,6 +15,7 @@ from itertools import combinations
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import expit, log_expit, logsumexp
 
 from procedures.registration.arm_adjustment import PlannedAdjustment
@@ -46,7 +47,7 @@ class MovedSpheres:
         return np.asarray(expit(logsumexp(self.log_odds, axis=1)))
 
     @property
-    def is_probable(self) -> Array:
+    def is_probable(self) -> NDArray[np.bool_]:
         """Mark the arms (a,) whose residuals show moved spheres rather than errors of the arm."""
         return np.asarray(log_expit(logsumexp(self.log_odds, axis=1)) > np.log(MOST_PROBABLE))
 

@@ -50,7 +50,7 @@ class Judged:
     freedom: int
     suspect: NDArray[np.bool_]  # (a,) refused for a moved sphere, or errors or corrections too large
 
-    def refused(self, confidence: float) -> Array:
+    def refused(self, confidence: float) -> NDArray[np.bool_]:
         """Mark the arms (a,) whose residual is beyond its limit of this confidence."""
         return np.asarray(self.gated > chi_square_limit(self.freedom, confidence))
 

@@ -11,6 +11,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ class MovedCase:
         rows = [np.flatnonzero(looks.spheres == one).tolist() for one in range(FREE_SPHERES)]
         return cls(looks.spheres, tuple(targets), registration, PairTest.of(registration.planned, rows))
 
-    def run(self, random: np.random.Generator, size_mm: float, share: float) -> dict[str, Array]:
+    def run(self, random: np.random.Generator, size_mm: float, share: float) -> dict[str, NDArray[Any]]:
         """Displace every pair of many arms; return flags (a,), and errors and limits (a, t) mm."""
         numbers = np.repeat(np.arange(len(self.test.pairs)), ARMS)
         residuals, errors = draw_case(random, self.targets, len(self.spheres), len(numbers), share)
@@ -127,7 +128,7 @@ def main() -> None:
     sys.stdout.write(json.dumps(found, indent=1) + "\n")
 
 
-def _summary(parts: list[dict[str, Array]]) -> dict[str, float | int | None]:
+def _summary(parts: list[dict[str, NDArray[Any]]]) -> dict[str, float | int | None]:
     every = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
     passed, named, right = (every[name].astype(bool) for name in ("passed", "named", "right"))
     named &= passed

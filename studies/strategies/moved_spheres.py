@@ -11,8 +11,10 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.registration.moved_sphere import MovedSpheres
 from procedures.registration.target_prediction import influence_of_spheres
@@ -33,7 +35,7 @@ SHARES = (1.0, 2.0)
 ARMS = 40  # of each sphere, size and share in each case
 BOUND_ARMS, BOUND_AT_MM = 2, 0.5  # of those that pass in each case, with this displacement
 SEED = 7377
-Row = dict[str, Array]
+Row = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +189,7 @@ def _summary(parts: list[Row]) -> dict[str, float | int | None]:
     return found
 
 
-def _percent(marked: Array) -> float | None:
+def _percent(marked: NDArray[Any]) -> float | None:
     return round(100.0 * float(np.mean(marked)), 2) if marked.size else None
 
 

@@ -39,13 +39,14 @@ def drawn(random: np.random.Generator, arms: int, share: float) -> Array:
     sizes = share * random.normal(size=(arms, 4))
     noise = NOISE_MM * random.normal(size=(arms, 10, 3))
     ct = CT_MM * random.normal(size=(arms, 5, 3))[:, list(TWICE)]
-    return -(np.einsum("mik,ak->ami", arm.at_spheres_mm, sizes) + noise + ct).reshape(arms, -1)
+    shown = np.einsum("mik,ak->ami", arm.at_spheres_mm, sizes) + noise + ct
+    return np.asarray(-shown.reshape(arms, -1))
 
 
 def displace(residuals: Array, spheres: tuple[int, ...], by_mm: Array) -> Array:
     moved = residuals.reshape(-1, 10, 3).copy()
     moved[:, [row for one in spheres for row in ROWS[one]]] += by_mm
-    return moved.reshape(residuals.shape)
+    return np.asarray(moved.reshape(residuals.shape))
 
 
 # Four errors alone tell the size of an arm badly: of those twice as bad, a few seem to be beyond 2.9 times.
