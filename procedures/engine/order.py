@@ -114,6 +114,11 @@ class CaseOrder:
         names = {str(key): key for key in self.sequence}
         if name in names:
             return names[name]
+        step, _, trajectory = name.partition(":")
+        if step in names and trajectory in self.trajectories:
+            raise UnknownStep(
+                f"there is no step {name!r}: one {step} serves all trajectories", action=f"Name {step}."
+            )
         candidates = [one for one in names if one.partition(":")[0] == name]  # it lacks only the trajectory
         candidates = candidates or find_near(name, names, MOST_NEAR)
         if candidates:

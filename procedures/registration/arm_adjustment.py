@@ -28,13 +28,18 @@ from procedures.registration.arm_hypotheses import (
     HYPOTHESES,
     PRIOR,
     Source,
+    covariance_at_target,
     covariance_of,
     covariance_with_target,
 )
 from procedures.registration.error_sources import SIZES
+from procedures.registration.error_theory import error_limit_mm
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import AXES, TargetPrediction, predict_by_influence
 from ronna_hw.arrays import Array
+
+# Safety against a wrong correction: none is longer than the arm's errors explain (U).
+CORRECTION_CONFIDENCE = 0.999
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,7 @@ class PlannedTarget:
 
     influences: Array  # (h, 3, 3m)
     predictions: tuple[TargetPrediction, ...]  # (h,)
+    arm_mm2: Array  # (3, 3) of the arm's errors there by their stated sizes
 
     @classmethod
     def of(cls, points_mm: Array, target_mm: Array, arm: Sequence[Source], others: Sequence[Source]) -> Self:
@@ -105,7 +111,7 @@ class PlannedTarget:
             influence = best_influence(points_mm, target_mm, sources)
             influences.append(influence.transpose(1, 0, 2).reshape(AXES, -1))
             predictions.append(predict_by_influence(influence, sources))
-        return cls(np.array(influences), tuple(predictions))
+        return cls(np.array(influences), tuple(predictions), covariance_at_target(arm))
 
     def predict(self, by_source_mm2: dict[str, Array], widening: float = 1.0) -> TargetPrediction:
         """Return the prediction with these covariances (3, 3), the means over all hypotheses."""
@@ -132,6 +138,15 @@ class PlannedTarget:
         }
         parts[SIZES] = np.einsum("ah,ahi,ahj->aij", probabilities, apart, apart)
         return mean, parts
+
+    def limit_corrections_mm(self, probabilities: Array, covariances_mm2: Array) -> Array:
+        """Return the length (a,) that a correction by right looks exceeds in one case of a thousand at most.
+
+        It is that of the arm's errors at the target, as large as the looks make them, and of the predicted
+        rest, (a, 3, 3) mm2.
+        """
+        sizes = probabilities @ np.square([one.share for one in HYPOTHESES])
+        return error_limit_mm(sizes[:, None, None] * self.arm_mm2 + covariances_mm2, CORRECTION_CONFIDENCE)
 
 
 def predict_before_looks(

@@ -95,7 +95,7 @@ def covariance_with_target(sources: Sequence[Source]) -> Array:
 
 
 def covariance_at_target(sources: Sequence[Source]) -> Array:
-    """Return the covariance (3, 3) mm2 of the target alone, by these sources."""
+    """Return the covariance (3, 3) mm2 of the target by these sources."""
     covariance = np.zeros((AXES, AXES))
     for one in sources:
         if isinstance(one, SharedErrors):

@@ -18,15 +18,9 @@ from procedures.registration.arm_adjustment import (
     JudgedHypotheses,
     PlannedAdjustment,
     PlannedTarget,
-    best_influence,
 )
-from procedures.registration.arm_hypotheses import (
-    ACCEPTABLE,
-    HYPOTHESES,
-    Source,
-    covariance_at_target,
-    covariance_of,
-)
+from procedures.registration.arm_hypotheses import HYPOTHESES, Source, covariance_of
+from procedures.registration.look_checks import CheckedLooks, LookChecks, PassingDisplacements
 from procedures.registration.moved_together import MovedTogether
 from procedures.registration.target_prediction import (
     AXES,
@@ -34,7 +28,6 @@ from procedures.registration.target_prediction import (
     ResidualCheck,
     TargetPrediction,
     UnnoticedPoint,
-    find_worst_displacement,
 )
 from ronna_hw.arrays import Array
 
@@ -53,29 +46,16 @@ class Looks:
     others: Sequence[Source]
 
 
-# Of a correction, as a multiple of the rms error there that is stated of the arm and predicted of the rest:
-# 999 of 1,000 arms twice as bad as stated, alike along all axes, need less than 2 x 2.33; 80 of them needed
-# 2.1 at most.
-# Safety against a wrong learned correction. Source: simulated arms.
-LARGEST_CORRECTION = 4.7
-
-
 @dataclass(frozen=True)
 class LearnedTarget:
-    """Correction (3,) mm of the commanded place of a target, from its place by the pose, and its error."""
+    """Correction (3,) mm of the commanded place of a target, from its place by `from_pose`, and its error.
+
+    A longer correction than `limit_mm` is not explained by what is stated of the arm.
+    """
 
     shift_mm: Array
     prediction: TargetPrediction
-    stated_mm: float  # rms error of the arm there, by its record; 0 if nothing is learned of it
-
-    @property
-    def largest_mm(self) -> float:
-        """Length beyond which the correction is not believed."""
-        return LARGEST_CORRECTION * float(np.hypot(self.stated_mm, self.prediction.rms_mm))
-
-    @property
-    def is_believable(self) -> bool:
-        return float(np.linalg.norm(self.shift_mm)) <= self.largest_mm
+    limit_mm: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,29 +129,38 @@ class ArmLearning:
         own_blocks = blocks[np.arange(count), :, np.arange(count)]
         return place.reshape(-1, AXES), np.asarray(0.5 * (own_blocks + own_blocks.transpose(0, 2, 1)))
 
+    def check(self, rows: Sequence[Sequence[int]], confidence: float) -> CheckedLooks:
+        """Check the looks before the arm is accepted; `rows` are those at each sphere."""
+        checks = LookChecks.of(self.planned, rows, confidence)
+        return checks.judge(self.looks.residuals_mm.reshape(1, -1))
+
+    def find_passing(
+        self, rows: Sequence[Sequence[int]], confidence: float, most_mm: float
+    ) -> PassingDisplacements:
+        """Find how far each sphere could be displaced, up to `most_mm`, with all checks passing."""
+        checks = LookChecks.of(self.planned, rows, confidence)
+        return checks.find_passing(self.looks.residuals_mm.reshape(-1), most_mm)
+
     def find_unnoticed(
         self,
-        rows: Sequence[Sequence[int]],
+        passing: PassingDisplacements,
         target_mm: Array,
-        sources: Sequence[Source],
-        limit: float,
-        most_mm: float,
+        arm: Sequence[Source],
+        others: Sequence[Source],
     ) -> UnnoticedPoint:
-        """Find the sphere whose displacement moves a target (3,) mm furthest with chi-square in its limit.
+        """Find the sphere whose displacement moves a target (3,) mm furthest with all checks passing.
 
-        `rows` are the looks at each sphere, `sources` all errors under the stated sizes, `most_mm` bounds the
-        displacement. A moved sphere makes large errors of the arm more probable. Chi-square is that of the
-        largest with which an arm is accepted, which leaves the smallest residual: an upper bound of what
-        passes the gate. See `target_prediction.find_unnoticed_point`.
+        The sources are those of the looks, with what they displace at this target. A displacement also
+        changes what is learned of the arm: the shift is that of the place commanded.
         """
-        looks, widest = len(self.looks.points_mm), int(np.flatnonzero(ACCEPTABLE)[-1])
-        weight = self.planned.weights[widest].reshape(looks, AXES, looks, AXES)
-        influence = best_influence(self.looks.points_mm, target_mm, sources)
-        return find_worst_displacement(
-            np.array([weight[list(own)][:, :, list(own)].sum(axis=(0, 2)) for own in rows]),
-            np.array([influence[list(own)].sum(axis=0) for own in rows]),
-            max(limit - float(self.judged.chi_squares[0, widest]), 0.0),
-            most_mm,
+        planned = PlannedTarget.of(self.looks.points_mm, target_mm, arm, others)
+        residuals = self.looks.residuals_mm.reshape(1, -1)
+        as_is_mm, _ = planned.correct(residuals, self.judged.probabilities)
+        with_it_mm, _ = planned.correct(passing.residuals_mm, passing.probabilities)
+        shifts_mm = np.linalg.norm(with_it_mm - as_is_mm, axis=1)
+        worst = int(shifts_mm.argmax())
+        return UnnoticedPoint(
+            int(passing.spheres[worst]), float(passing.lengths_mm[worst]), float(shifts_mm[worst])
         )
 
     def find_moved_together(self, rows: Mapping[str, Sequence[int]]) -> MovedTogether | None:
@@ -195,8 +184,10 @@ class ArmLearning:
         residuals = self.looks.residuals_mm.reshape(1, -1)
         shifts, parts = planned.correct(residuals, self.judged.probabilities)
         by_source = {name: part[0] for name, part in parts.items()}
+        remaining = np.sum(list(by_source.values()), axis=0)
+        limits_mm = planned.limit_corrections_mm(self.judged.probabilities, remaining[None])
         if moved is not None:
             influence = np.einsum("h,hij->ij", self.probabilities, planned.influences)
             by_source[moved.source] = moved.at_target(influence)
-        stated_mm = float(np.sqrt(np.trace(covariance_at_target(arm))))
-        return LearnedTarget(shifts[0], planned.predict(by_source, self.residual.widening), stated_mm)
+        prediction = planned.predict(by_source, self.residual.widening)
+        return LearnedTarget(shifts[0], prediction, float(limits_mm[0]))

@@ -296,7 +296,7 @@ def find_worst_displacement(
     `information` (n, 3, 3) is how much a displacement of each point adds, `influences` (n, 3, 3) its effect
     on the target.
     """
-    directions = _directions()
+    directions = spread_directions(DIRECTIONS)
     worst = UnnoticedPoint(0, 0.0, 0.0)
     for index, (adds, influence) in enumerate(zip(information, influences, strict=True)):
         sensitivity = np.einsum("ki,ij,kj->k", directions, adds, directions)
@@ -316,10 +316,10 @@ def _information(fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array) -
     return np.asarray(weight - weighted @ np.linalg.solve(pose.T @ weighted, weighted.T))
 
 
-def _directions() -> Array:
-    """Return directions (k, 3), spread uniformly over a hemisphere by the golden angle."""
-    number = np.arange(DIRECTIONS)
-    height = (number + 0.5) / DIRECTIONS
+def spread_directions(count: int) -> Array:
+    """Return directions (count, 3), spread uniformly over a hemisphere by the golden angle."""
+    number = np.arange(count)
+    height = (number + 0.5) / count
     turn = number * GOLDEN_ANGLE_RAD
     radius = np.sqrt(1.0 - height**2)
     return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])

@@ -254,7 +254,7 @@ FIT_DISAGREES = Branch(
 )
 CORRECTION_BEYOND = Branch(
     "the looks ask for a correction of the arm that its stated errors do not make believable",
-    "length of the learned correction against 4.7 times the error stated there",
+    "length of the learned correction against 99.9 % of the arm's errors there at the learned size",
     ("registration",),
     "arm, stereo head and guide are checked against their calibrations; localize again",
     (GateFailed,),

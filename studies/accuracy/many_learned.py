@@ -10,18 +10,20 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.registration.arm_adjustment import PlannedAdjustment, PlannedTarget
-from procedures.registration.arm_hypotheses import Source, covariance_of
+from procedures.registration.arm_hypotheses import LARGEST_SHARE, Source, covariance_of
 from procedures.registration.error_sources import TOOL_FRAME
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, chi_square_limit, error_limit_mm
+from procedures.registration.look_checks import LookChecks
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import (
     WIDENED_BEYOND,
     influence_of_spheres,
     predict_by_influence,
 )
-from procedures.steps.clinical.error_budget import GATE_ARM_RESERVE, arm_covariance_mm2
+from procedures.steps.clinical.error_budget import GATE_ARM_RESERVE, GATE_CONFIDENCE, arm_covariance_mm2
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM
 
@@ -46,8 +48,9 @@ class Judged:
     chi_squares: Array  # (a,)
     gated: Array  # (a,) the same by the gate of a case
     freedom: int
+    suspect: NDArray[np.bool_]  # (a,) refused for a moved sphere, or errors or corrections too large
 
-    def refused(self, confidence: float) -> Array:
+    def refused(self, confidence: float) -> NDArray[np.bool_]:
         """Mark the arms (a,) whose residual is beyond its limit of this confidence."""
         return np.asarray(self.gated > chi_square_limit(self.freedom, confidence))
 
@@ -66,16 +69,26 @@ class Judged:
 class LearnedRegistration:
     """Registration that learns the arm from its looks (m,), for `t` targets."""
 
-    planned: PlannedAdjustment
+    checks: LookChecks
     targets: tuple[PlannedTarget, ...]
 
     @classmethod
-    def of(cls, points_mm: Array, targets: Sequence[TargetSources]) -> Self:
-        """Prepare looks at points (m, 3) mm; the sources of every target are the same at the looks."""
+    def of(cls, points_mm: Array, spheres: Sequence[int], targets: Sequence[TargetSources]) -> Self:
+        """Prepare looks at points (m, 3) mm of these spheres (m,).
+
+        The sources of every target are the same at the looks.
+        """
+        planned = PlannedAdjustment.of(points_mm, targets[0].arm, targets[0].others)
+        rows = [np.flatnonzero(np.equal(spheres, one)).tolist() for one in sorted(set(spheres))]
         return cls(
-            PlannedAdjustment.of(points_mm, targets[0].arm, targets[0].others),
+            LookChecks.of(planned, rows, GATE_CONFIDENCE),
             tuple(PlannedTarget.of(points_mm, one.target_mm, one.arm, one.others) for one in targets),
         )
+
+    @property
+    def planned(self) -> PlannedAdjustment:
+        """Adjustment of the looks."""
+        return self.checks.planned
 
     def judge(self, residuals_mm: Array) -> Judged:
         """Adjust `a` arms by their residuals (a, m, 3)."""
@@ -83,12 +96,18 @@ class LearnedRegistration:
         judged = self.planned.judge(flat)
         shifts, parts = zip(*(one.correct(flat, judged.probabilities) for one in self.targets), strict=True)
         covariances = [np.sum(list(by_source.values()), axis=0) for by_source in parts]
+        checked = self.checks.judge(flat)
+        is_suspect = checked.moved.is_probable | (checked.shares > LARGEST_SHARE)
+        for target, shift, covariance in zip(self.targets, shifts, covariances, strict=True):
+            limits_mm = target.limit_corrections_mm(judged.probabilities, covariance)
+            is_suspect |= np.linalg.norm(shift, axis=1) > limits_mm
         return Judged(
             np.stack(shifts, axis=1),
             np.stack(covariances, axis=1),
             judged.most_probable,
             judged.acceptable,
             flat.shape[1] - 6,
+            is_suspect,
         )
 
 
@@ -131,7 +150,8 @@ class PlainRegistration:
         )
         shape = (len(flat), *self.covariances_mm2.shape)
         covariances = np.broadcast_to(self.covariances_mm2, shape)
-        return Judged(np.zeros(shape[:-1]), covariances, chi_squares, gated, flat.shape[1] - 6)
+        nothing = np.zeros(len(flat), dtype=bool)
+        return Judged(np.zeros(shape[:-1]), covariances, chi_squares, gated, flat.shape[1] - 6, nothing)
 
 
 def _without_pose(information: Array, pose: Array) -> Array:

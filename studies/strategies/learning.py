@@ -64,7 +64,8 @@ CONDITIONS = (
 )
 # Share of the looks before a bump that is before or after all of them.
 BUMPED_FROM = {Effect.BUMP_BEFORE: 0.0, Effect.BUMP_AFTER: 2.0}
-PASSED_OVER, ERROR, RESIDUAL, GAUGE = "passed over", "error ", "residual", "gauge"
+PASSED_OVER, ERROR = "passed over", "error "
+RESIDUAL, SUSPECT, GAUGE = "residual", "suspect", "gauge"  # reasons of a refusal
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,7 @@ class Prepared:
             used = np.array(key, dtype=np.intp)
             points_mm, sources = planner.sources(ordered, used, targets)
             made = (
-                LearnedRegistration.of(points_mm, sources)
+                LearnedRegistration.of(points_mm, ordered.spheres[used].tolist(), sources)
                 if learns
                 else PlainRegistration.of(points_mm, sources, arm_mm)
             )
@@ -282,7 +283,7 @@ class Bench:
     def _try_looks(
         self, draws: CaseDraws, prepared: Prepared
     ) -> tuple[Array, Array, dict[str, NDArray[np.bool_]]]:
-        """Return errors and limits (a, t) mm, and what is refused by the residual and by the gauge."""
+        """Return errors and limits (a, t) mm, and what is refused, by reason."""
         looks, planner, cases = prepared.looks, self.planner, len(draws.arms)
         count, targets = len(looks.spheres), len(planner.targets_mm)
         bumped = np.arange(count) >= np.ceil(draws.bumped_from * (count - 1))[:, None]  # one look or more
@@ -296,7 +297,7 @@ class Bench:
         image = planner.phantom.spheres_mm + planner.ct_mm / np.sqrt(AXES) * draws.ct
         targets_ct = np.array([one.target_mm for one in planner.phantom.trajectories])
         places, limits_mm = np.empty((cases, targets, AXES)), np.empty((cases, targets))
-        is_unlike = np.zeros((cases, targets), dtype=bool)
+        is_unlike, is_suspect = np.zeros((2, cases, targets), dtype=bool)
         for group, used, registration in prepared.registrations:
             seen, there = image[:, looks.spheres[used]], recorded[:, used]
             fit = fit_rigid(seen, there)
@@ -305,6 +306,7 @@ class Bench:
             places[:, group] = mapped + fit.translation_mm[:, None] + judged.shifts_mm
             limits_mm[:, group] = judged.limits_mm()
             is_unlike[:, group] = judged.refused(REFUSAL)[:, None]
+            is_suspect[:, group] = judged.suspect[:, None]
         gauged_s = prepared.seconds[-1] + GAUGE_S + TARGET_S * np.arange(targets + 1, dtype=float)
         reached_s = gauged_s[:-1] + 0.5 * TARGET_S
         always = np.ones((cases, targets), dtype=bool)
@@ -314,7 +316,9 @@ class Bench:
         tips = at_targets.tool_points_mm(joints, flanks) + draws.arms.repeatability_mm * draws.rest
         is_off = draws.off_gauge(looks, planner.targets_mm[0], gauged_s)
         errors_mm = np.linalg.norm(tips - planner.targets_mm, axis=2)
-        return errors_mm, limits_mm, {RESIDUAL: is_unlike, GAUGE: is_off & ~is_unlike}
+        is_suspect &= ~is_unlike
+        refused = {RESIDUAL: is_unlike, SUSPECT: is_suspect, GAUGE: is_off & ~is_unlike & ~is_suspect}
+        return errors_mm, limits_mm, refused
 
 
 def _predicted_mm2(prepared: Prepared) -> Array:

@@ -23,6 +23,7 @@ from studies.strategies.learning import (
     SCENARIOS,
     SHARES,
     SIZES,
+    SUSPECT,
     TARGETS_OF_CASE,
 )
 
@@ -45,6 +46,7 @@ class Series:
         return {
             "targets": round(trials),
             "refused by residual %": 100.0 * self.sums[RESIDUAL] / trials,
+            "refused for moved sphere or bad arm %": 100.0 * self.sums[SUSPECT] / trials,
             "refused by gauge %": 100.0 * self.sums[GAUGE] / trials,
             "mean mm": float(errors.mean()) if used else None,
             "99 % below mm": float(np.quantile(errors, 0.99)) if used else None,
@@ -73,7 +75,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             ],
             f"Size: of the arm's errors, by those stated. Theatre seconds: moves and {LOOK_S:g} s a look, "
             f"with all looks of a case of {TARGETS_OF_CASE} targets. Refused by residual: beyond its "
-            f"{100 * REFUSAL:g} % limit. {passed_over:g} trajectories that a strategy does not reach were "
+            f"{100 * REFUSAL:g} % limit. For moved sphere or bad arm, of `learning`: a sphere that has more "
+            "probably moved than not, or errors or a correction beyond their limit. "
+            f"{passed_over:g} trajectories that a strategy does not reach were "
             "passed over.",
         ),
         Table.of(

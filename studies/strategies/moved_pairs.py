@@ -1,7 +1,7 @@
 """Two spheres that moved together since the scan, with strategy `learning`: what the gate and the limit see.
 
 Every pair of the five spheres is displaced by one vector of each size, in random directions. Arms, CT and
-noise are drawn from what is stated, the arms also half and twice as bad. A case is refused by its residual;
+noise are drawn from what is stated, the arms also half and twice as bad. A case is refused by its checks;
 what passes reaches its targets, with the limit that it states, and with the one before pairs were tested.
 """
 
@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.registration.arm_hypotheses import Source
-from procedures.registration.error_theory import DEFAULT_CONFIDENCE, chi_square_limit, error_limit_mm
+from procedures.registration.error_theory import DEFAULT_CONFIDENCE, error_limit_mm
 from procedures.registration.moved_together import PairTest
 from procedures.registration.target_prediction import SharedErrors
 from ronna_hw.arrays import Array
@@ -50,14 +52,14 @@ class MovedCase:
         planner = plan_case(kind, own, place)
         looks = planner.choose(planner.candidates(), FREE_SPHERES)
         points, targets = planner.sources(looks, np.arange(len(looks.spheres)), range(TARGETS_OF_CASE))
-        registration = LearnedRegistration.of(points, targets)
+        registration = LearnedRegistration.of(points, looks.spheres.tolist(), targets)
         rows = [np.flatnonzero(looks.spheres == one).tolist() for one in range(FREE_SPHERES)]
         return cls(looks.spheres, tuple(targets), registration, PairTest.of(registration.planned, rows))
 
-    def run(self, random: np.random.Generator, size_mm: float, share: float) -> dict[str, Array]:
+    def run(self, random: np.random.Generator, size_mm: float, share: float) -> dict[str, NDArray[Any]]:
         """Displace every pair of many arms; return flags (a,), and errors and limits (a, t) mm."""
         numbers = np.repeat(np.arange(len(self.test.pairs)), ARMS)
-        residuals, errors = self._draw(random, len(numbers), share)
+        residuals, errors = draw_case(random, self.targets, len(self.spheres), len(numbers), share)
         towards = random.normal(size=(len(numbers), AXES))
         moved = size_mm * towards / np.linalg.norm(towards, axis=1, keepdims=True)
         flat = residuals + np.einsum("aij,aj->ai", self.test.columns[numbers], moved)
@@ -73,7 +75,7 @@ class MovedCase:
                 pairs.is_likely, error_limit_mm(own, DEFAULT_CONFIDENCE), limits_mm[:, target]
             )
         return {
-            "passed": judged.gated <= chi_square_limit(judged.freedom, REFUSAL),
+            "passed": ~judged.refused(REFUSAL) & ~judged.suspect,
             "named": pairs.is_likely,
             "right": pairs.is_likely & (pairs.most_likely == numbers),
             "errors_mm": np.linalg.norm(judged.shifts_mm + errors, axis=2),
@@ -81,24 +83,30 @@ class MovedCase:
             "after_mm": with_pairs,
         }
 
-    def _draw(self, random: np.random.Generator, count: int, share: float) -> tuple[Array, Array]:
-        """Draw residuals (a, 3m) from the sources, and errors of the tool (a, t, 3) at the targets."""
-        residuals = np.zeros((count, AXES * len(self.spheres)))
-        listed = [_factored(one, share) for one in self.targets]
-        drawn = np.zeros((count, len(self.targets), AXES))
-        for sources in zip(*listed, strict=True):
-            factor, first = sources[0]
-            if isinstance(first, SharedErrors):
-                unit = factor * random.normal(size=(count, first.at_target_mm.shape[1]))
-                residuals -= unit @ first.at_spheres_mm.reshape(-1, unit.shape[1]).T
-                drawn += np.stack([unit @ one.at_target_mm.T for _, one in sources], axis=1)
-            else:
-                noise = factor * random.normal(size=(count, len(self.spheres), AXES))
-                roots = np.linalg.cholesky(first.at_spheres_mm2)
-                residuals -= np.einsum("mij,amj->ami", roots, noise).reshape(count, -1)
-                rest = [np.linalg.cholesky(one.at_target_mm2) for _, one in sources]
-                drawn += np.einsum("tij,atj->ati", rest, factor * random.normal(size=drawn.shape))
-        return residuals, drawn
+
+def draw_case(
+    random: np.random.Generator, targets: Sequence[TargetSources], looks: int, count: int, share: float
+) -> tuple[Array, Array]:
+    """Draw residuals (a, 3m) from the sources, and errors of the tool (a, t, 3) at the targets.
+
+    The arm's errors are `share` times as large as stated.
+    """
+    residuals = np.zeros((count, AXES * looks))
+    listed = [_factored(one, share) for one in targets]
+    drawn = np.zeros((count, len(targets), AXES))
+    for sources in zip(*listed, strict=True):
+        factor, first = sources[0]
+        if isinstance(first, SharedErrors):
+            unit = factor * random.normal(size=(count, first.at_target_mm.shape[1]))
+            residuals -= unit @ first.at_spheres_mm.reshape(-1, unit.shape[1]).T
+            drawn += np.stack([unit @ one.at_target_mm.T for _, one in sources], axis=1)
+        else:
+            noise = factor * random.normal(size=(count, looks, AXES))
+            roots = np.linalg.cholesky(first.at_spheres_mm2)
+            residuals -= np.einsum("mij,amj->ami", roots, noise).reshape(count, -1)
+            rest = [np.linalg.cholesky(one.at_target_mm2) for _, one in sources]
+            drawn += np.einsum("tij,atj->ati", rest, factor * random.normal(size=drawn.shape))
+    return residuals, drawn
 
 
 def _factored(target: TargetSources, share: float) -> list[tuple[float, Source]]:
@@ -120,7 +128,7 @@ def main() -> None:
     sys.stdout.write(json.dumps(found, indent=1) + "\n")
 
 
-def _summary(parts: list[dict[str, Array]]) -> dict[str, float | int | None]:
+def _summary(parts: list[dict[str, NDArray[Any]]]) -> dict[str, float | int | None]:
     every = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
     passed, named, right = (every[name].astype(bool) for name in ("passed", "named", "right"))
     named &= passed

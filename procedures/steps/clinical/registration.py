@@ -6,6 +6,7 @@ The residual of the fit is never shown as accuracy; the operator accepts the pre
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,8 @@ from procedures.planning.guide import (
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.planning.target_error import fusion_errors
 from procedures.registration import Registration, RoomPoint, TwoWayTable, verify_two_way
-from procedures.registration.arm_learning import LARGEST_CORRECTION, LearnedTarget
+from procedures.registration.arm_hypotheses import LARGEST_SHARE
+from procedures.registration.arm_learning import LearnedTarget
 from procedures.registration.error_sources import (
     CT,
     DIRECTION,
@@ -56,7 +58,6 @@ from procedures.steps.clinical.results import (
 from procedures.steps.clinical.sphere_pairs import Pairs, pairs_of
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
-from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit, format_distinct
 
@@ -78,16 +79,20 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
         move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
     predicted_tips = [predict_tip_error(context, pairs, one, move) for one in trajectories]
     predictions = tuple(one for one, _ in predicted_tips)
+    corrections = {one.target: correction for one, correction in predicted_tips}
+    require_explained_corrections(corrections)
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
     left_out = _exclude_beyond_margin(context, plan, predictions)
     methods = context.clinical.methods.describe()
-    learned = pairs.learned({one.target: shift_mm for one, shift_mm in predicted_tips})
+    learned = pairs.learned(corrections)
     two_way = _compare_both_ways(context, fit, pairs)
     for predicted in predictions:
         if predicted.target in left_out:
             continue
         against = _against_margins(plan, predictions, predicted)
+        if learned is not None:  # else one look at each sphere, whose residual shows a move at once
+            _confirm_unmoved_spheres(context, predicted, against[0].margin_mm)
         question = Question(
             Topic.REGISTRATION,
             f"Accept the registration for {predicted.target}?",
@@ -132,9 +137,48 @@ def tell_learned(learned: LearnedArm | None, target: str) -> str:
     """Return the correction that a learned arm is given for a target, in words; empty without one."""
     if learned is None:
         return ""
+    sent_mm, most_mm = math.hypot(*learned.corrections_mm[target]), learned.correction_limits_mm[target]
     return (
-        f"{learned.looks} looks also estimate the arm: errors of {learned.share:.0%} of their stated size; "
-        f"for them it is sent {math.hypot(*learned.corrections_mm[target]):.2f} mm beside the target's place"
+        f"{learned.looks} looks also estimate the arm: errors of {learned.share:.0%} of their stated size, "
+        f"at most {LARGEST_SHARE:.0%}; for them it is sent {sent_mm:.2f} mm beside the target's place, "
+        f"at most {most_mm:.2f} mm"
+    )
+
+
+def require_explained_corrections(corrections: Mapping[str, LearnedTarget]) -> None:
+    """Require that no target's correction is longer than the arm's errors explain. Raises PRO-007."""
+    for target, one in corrections.items():
+        length_mm = float(np.linalg.norm(one.shift_mm))
+        if length_mm > one.limit_mm:
+            got, limit = format_distinct(length_mm, one.limit_mm, 2)
+            raise GateFailed(
+                f"the correction learned for {target} is longer than errors of this arm explain",
+                limit=f"{limit} mm",
+                got=f"{got} mm",
+                action="Check the spheres, and of which arm, stereo head and guide the calibrations were made, "
+                "then localize again.",
+            )
+
+
+def _confirm_unmoved_spheres(context: StepContext, predicted: Prediction, margin_mm: float) -> None:
+    """Have the operator confirm that no sphere moved, where one could unnoticed by more than the margin.
+
+    Raises PRO-002.
+    """
+    if predicted.moved_sphere_mm is None or predicted.moved_sphere_mm <= margin_mm:
+        return
+    text = (
+        f"one moved sphere could put {predicted.target} off by {predicted.moved_sphere_mm:.2f} mm before "
+        f"the fit shows it, beyond the margin of {margin_mm:g} mm"
+    )
+    context.find(text, [predicted.target])
+    context.require_yes(
+        Question(
+            Topic.REGISTRATION,
+            f"Have you checked that every sphere is where it was in the CT, for {predicted.target}?",
+            text,
+            trajectory=predicted.target,
+        )
     )
 
 
@@ -143,26 +187,30 @@ def _select_agreeing_pairs(context: StepContext, pairs: Pairs) -> tuple[Pairs, t
 
     Raises PRO-007 if no sphere explains it, or more than one would.
     """
-    gate = pairs.gate
-    if gate.passed:
+    failed = next((one for one in pairs.checks if not one.passed), None)
+    if failed is None:
         return pairs, ()
     moved = pairs.find_moved()
     names = " and ".join(context.served_trajectories)
-    fre, limit = format_distinct(gate.fre_mm, gate.limit_mm, 3)
+    got, limit = failed.show(failed.decimals)
     refusal = GateFailed(
-        f"the fit disagrees with its own error budget at {names}",
-        limit=f"{limit} mm",
-        got=f"{fre} mm",
-        action=_advise_on_moved([pairs.fiducials[one] for one in moved], len(pairs.fiducials)),
+        f"{failed.failure} at {names}",
+        limit=limit,
+        got=got,
+        action=_advise_on_moved(
+            [[pairs.fiducials[one] for one in group] for group in moved], len(pairs.fiducials)
+        ),
     )
-    if len(moved) != 1:
+    if len(moved) != 1 or len(moved[0]) != 1:
         raise refusal
-    (place,) = moved
+    ((place,),) = moved
     fiducial, rest = pairs.fiducials[place], pairs.without(place)
+    without = next(one for one in rest.checks if one.quantity == failed.quantity)
+    shown, most = failed.show(min(failed.decimals, 2))
     question = MOVED_SPHERE.question(
         f"Sphere {fiducial + 1} disagrees with all others at {names}: it has moved, or is the wrong one.",
-        f"residual {gate.fre_mm:.2f} mm with it, {rest.gate.fre_mm:.2f} mm with the other "
-        f"{len(rest.fiducials)}, limit {gate.limit_mm:.2f} mm",
+        f"{failed.quantity} {shown} with it, {without.show(min(failed.decimals, 2))[0]} with the other "
+        f"{len(rest.fiducials)}, limit {most}",
         context.key.trajectory,
     )
     if context.choose(question) != LEAVE_OUT:
@@ -222,10 +270,10 @@ def _picture_of(context: StepContext, trajectory: str) -> tuple[Picture, ...]:
 
 def predict_tip_error(
     context: StepContext, pairs: Pairs, planned: PlannedTrajectory, move: MeasuredMove | None = None
-) -> tuple[Prediction, Array]:
+) -> tuple[Prediction, LearnedTarget]:
     """Predict the tip's error at a target from the errors of spheres, arm, guide, instrument and fusion.
 
-    Also returns how far (3,) mm, robot frame now, its commanded place is off that by the fit and a followed
+    Also returns how far, in the robot frame now, its commanded place is off that by the fit and a followed
     `move`, for what was learned of the arm.
 
     Of errors common to spheres and target, only the remainder counts. A followed move adds its own error.
@@ -268,7 +316,6 @@ def predict_tip_error(
     )
     by_head = [held.turn_errors_back(one) for one in sources]
     worst, learned = pairs.find_unnoticed(tip_mm, by_head), pairs.predict(tip_mm, by_head)
-    require_believable(learned, target)
     predicted = learned.prediction
     prediction = Prediction(
         target=target,
@@ -279,34 +326,26 @@ def predict_tip_error(
         formula="covariance propagation, joint by joint",
         excluded=f"{NOT_PREDICTED}; one sphere moved since {localized.since}: {worst.at_target_mm:.2f} mm "
         f"(sphere {pairs.fiducials[worst.index] + 1}, by {worst.displaced_mm:.1f} mm) until the fit shows",
+        moved_sphere_mm=worst.at_target_mm,
         assumed=localized.assumed_error,
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
-    return prediction, held.turn_correction(learned.shift_mm)
+    return prediction, replace(learned, shift_mm=held.turn_correction(learned.shift_mm))
 
 
-def require_believable(learned: LearnedTarget, target: str) -> None:
-    """Raise PRO-007 if a learned correction is beyond what the stated errors let one believe."""
-    if learned.is_believable:
-        return
-    wanted, limit = format_distinct(float(np.linalg.norm(learned.shift_mm)), learned.largest_mm, 2)
-    raise GateFailed(
-        f"the looks would send the arm too far beside {target} for the errors that are stated of it",
-        limit=f"{limit} mm, {LARGEST_CORRECTION:g} times what is stated of the arm and predicted of the rest",
-        got=f"{wanted} mm",
-        action="Check which arm, stereo head and guide the calibrations were made of, and calibrate what has "
-        "changed. Another strategy would not notice it.",
-    )
-
-
-def _advise_on_moved(moved: list[int], spheres: int) -> str:
-    """Return advice on the spheres (CT indices) that could each explain the disagreement alone."""
+def _advise_on_moved(moved: list[list[int]], spheres: int) -> str:
+    """Return advice on the spheres (CT indices), alone or two alike, that could explain the disagreement."""
     if spheres <= FEWEST_PAIRS:
         return "With three spheres it cannot be told which one has moved: check all, then localize again."
     if not moved:
         return "More than one sphere has moved, or the error budget is wrong; localize again."
-    which = " or ".join(str(one + 1) for one in moved)
-    return f"Without sphere {which} the others agree: it has moved. Localize again or leave it out."
+    named = [" with ".join(str(one + 1) for one in group) for group in moved]
+    if len(named) > 1:
+        which = f"{', '.join(named[:-1])} or {named[-1]}"
+        return f"One of these has moved: sphere {which}. Check them, then localize again."
+    if len(moved[0]) > 1:
+        return f"Sphere {named[0]} has moved. Check both, then localize again."
+    return f"Without sphere {named[0]} the others agree: it has moved. Localize again or leave it out."
 
 
 def _compare_both_ways(context: StepContext, fit: Registration, pairs: Pairs) -> TwoWayTable:

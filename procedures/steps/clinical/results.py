@@ -103,6 +103,9 @@ class Prediction(Values):
         default=1.0, description="Factor on the errors at the spheres in the limit, by too large a residual."
     )
     excluded: str = Field(default=NOT_PREDICTED, description="Errors that it does not contain.")
+    moved_sphere_mm: float | None = Field(
+        default=None, description="Shift by one sphere that moved since the scan, until the fit shows it."
+    )
     assumed: str = Field(
         default="", description="Errors that a method does not state, and what stands for them."
     )
@@ -146,6 +149,10 @@ class LearnedArm(Values):
     spheres_robot_mm: tuple[Numbers3, ...] = Field(description="Its true place by all looks, robot frame.")
     corrections_mm: dict[str, Numbers3] = Field(
         description="By trajectory: from the target's true place to the one commanded, robot frame."
+    )
+    correction_limits_mm: dict[str, float] = Field(
+        default_factory=dict,
+        description="By trajectory: length of a correction that errors of this arm explain, at 99.9 %.",
     )
 
 

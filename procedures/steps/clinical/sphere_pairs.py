@@ -18,9 +18,11 @@ from procedures.engine.context import StepContext
 from procedures.registration import Registration, register
 from procedures.registration.arm_hypotheses import Source, at_looks, share_by_sphere
 from procedures.registration.arm_learning import ArmLearning, LearnedTarget, Looks
+from procedures.registration.displaced_spheres import Group
 from procedures.registration.error_sources import CT, OF_SPHERES, REPEATABILITY, SEATING, STEREO
 from procedures.registration.error_theory import FreGate, chi_square_limit
 from procedures.registration.errors import CollinearPoints
+from procedures.registration.look_checks import CheckedLooks, PassingDisplacements
 from procedures.registration.moved_together import MovedTogether
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import fit_rigid
@@ -37,6 +39,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.results import LearnedArm, Relocalization
+from procedures.steps.clinical.sphere_checks import SphereCheck, check_looks, check_residual
 from procedures.strategies.catalogue import find_strategy
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import arm_error_mm
@@ -66,16 +69,19 @@ class Pairs(Protocol):
         ...
 
     @property
-    def gate(self) -> FreGate:
-        """Residual against all errors that are known."""
+    def checks(self) -> tuple[SphereCheck, ...]:
+        """Checks whether the spheres agree, by all errors that are known."""
         ...
 
     def without(self, place: int) -> Pairs:
         """Return the pairs without the sphere at this place of `fiducials`."""
         ...
 
-    def find_moved(self) -> tuple[int, ...]:
-        """Return the places of spheres without which the others agree, most likely first."""
+    def find_moved(self) -> tuple[Group, ...]:
+        """Return the places of spheres, alone or two alike, that may have moved, most likely first.
+
+        Without one that is alone the others agree.
+        """
         ...
 
     def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
@@ -86,8 +92,8 @@ class Pairs(Protocol):
         """Predict a target (3,) mm, robot frame by `fit`, from all sources of error at the looks."""
         ...
 
-    def learned(self, shifts_mm: Mapping[str, Array]) -> LearnedArm | None:
-        """Return what was learned of the arm, with the correction (3,) mm of each target."""
+    def learned(self, corrections: Mapping[str, LearnedTarget]) -> LearnedArm | None:
+        """Return what was learned of the arm, with the correction of each target."""
         ...
 
 
@@ -171,7 +177,12 @@ class LookedPairs:
 
     @property
     def gate(self) -> FreGate:
+        """Residual against all errors that are known."""
         return error_budget.residual_gate(self.image_mm, self.physical_mm, self.allowed)
+
+    @property
+    def checks(self) -> tuple[SphereCheck, ...]:
+        return (check_residual(self.gate),)
 
     def without(self, place: int) -> Self:
         return self.at([row for row in range(len(self.looks)) if row != place])
@@ -193,8 +204,9 @@ class LookedPairs:
             allowed=self.allowed[kept],
         )
 
-    def find_moved(self) -> tuple[int, ...]:
-        return error_budget.find_moved_spheres(self.image_mm, self.physical_mm, self.allowed)
+    def find_moved(self) -> tuple[Group, ...]:
+        moved = error_budget.find_moved_spheres(self.image_mm, self.physical_mm, self.allowed)
+        return tuple((place,) for place in moved)
 
     def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
         return error_budget.find_undetected_sphere(self.fit, tip_mm, self.gate, self.allowed)
@@ -203,11 +215,10 @@ class LookedPairs:
         fit = self.fit
         residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
         weights = None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2)
-        return LearnedTarget(
-            NO_SHIFT, predict_target_error(fit.physical_mm, tip_mm, sources, weights, residual), stated_mm=0.0
-        )
+        predicted = predict_target_error(fit.physical_mm, tip_mm, sources, weights, residual)
+        return LearnedTarget(NO_SHIFT, predicted, limit_mm=0.0)
 
-    def learned(self, shifts_mm: Mapping[str, Array]) -> None:
+    def learned(self, corrections: Mapping[str, LearnedTarget]) -> None:
         """Nothing is learned from one look at each sphere."""
 
 
@@ -241,40 +252,36 @@ class LearnedPairs:
         return self._adjust(np.asarray(self.fit.transform.apply(self.looked.image_mm)))
 
     @property
-    def gate(self) -> FreGate:
-        residual = self._coarse.acceptable
-        limit = chi_square_limit(residual.freedom, error_budget.GATE_CONFIDENCE)
-        return FreGate(self.fit.fre_mm, residual.chi_square, limit, error_budget.GATE_CONFIDENCE)
+    def checks(self) -> tuple[SphereCheck, ...]:
+        return check_looks(self._checked)
 
     def without(self, place: int) -> Self:
         rows = [row for kept, of in enumerate(self._rows) if kept != place for row in of]
         rows.sort()
         return replace(self, looked=self.looked.at(rows), errors=tuple(at_looks(self.errors, rows)))
 
-    def find_moved(self) -> tuple[int, ...]:
-        found: list[tuple[float, int]] = []
-        for place in range(len(self.fiducials) if len(self.fiducials) > FEWEST_PAIRS else 0):
+    def find_moved(self) -> tuple[Group, ...]:
+        moved = self._checked.moved
+        if len(self.fiducials) <= FEWEST_PAIRS or not moved.is_probable[0]:
+            return ()
+        found: list[Group] = []
+        for group in moved.suspects():
             with suppress(CollinearPoints):
-                gate = self.without(place).gate
-                if gate.passed:
-                    found.append((gate.chi_square, place))
-        if len(found) == 1:  # what many looks leave open may hide a second one
-            chi_square, place = found[0]
-            freedom = self.without(place).learning.acceptable.freedom
-            if chi_square > chi_square_limit(freedom, LEFT_OUT_CONFIDENCE):
+                if len(group) > 1 or self.without(group[0])._checked.passed[0]:
+                    found.append(group)
+        if len(found) == 1 and len(found[0]) == 1:  # what many looks leave open may hide a second one
+            rest = self.without(found[0][0])._checked
+            if rest.chi_squares[0] > chi_square_limit(rest.freedom, LEFT_OUT_CONFIDENCE):
                 return ()
-        return tuple(place for _, place in sorted(found))
+        return tuple(found)
 
     def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
-        arm, others = self._split(sources)
-        return self.learning.find_unnoticed(
-            self._rows, tip_mm, [*arm, *others], self.gate.chi_square_limit, error_budget.GROSS_MM
-        )
+        return self.learning.find_unnoticed(self._passing, tip_mm, *self._split(sources))
 
     def predict(self, tip_mm: Array, sources: Sequence[Source]) -> LearnedTarget:
         return self.learning.at_target(tip_mm, *self._split(sources), self._moved_together)
 
-    def learned(self, shifts_mm: Mapping[str, Array]) -> LearnedArm:
+    def learned(self, corrections: Mapping[str, LearnedTarget]) -> LearnedArm:
         """Return the size of the arm's errors, the spheres as it sees them, and the targets' corrections."""
         return LearnedArm(
             looks=len(self.looked.looks),
@@ -282,8 +289,18 @@ class LearnedPairs:
             scatter_mm=self.learning.scatter_mm,
             fiducials=self.fiducials,
             spheres_robot_mm=tuple(self.fit.physical_mm.tolist()),
-            corrections_mm={name: tuple(shift.tolist()) for name, shift in shifts_mm.items()},
+            corrections_mm={name: tuple(one.shift_mm.tolist()) for name, one in corrections.items()},
+            correction_limits_mm={name: one.limit_mm for name, one in corrections.items()},
         )
+
+    @cached_property
+    def _checked(self) -> CheckedLooks:
+        return self._coarse.check(self._rows, error_budget.GATE_CONFIDENCE)
+
+    @cached_property
+    def _passing(self) -> PassingDisplacements:
+        """Displacements of single spheres that the checks let pass."""
+        return self.learning.find_passing(self._rows, error_budget.GATE_CONFIDENCE, error_budget.GROSS_MM)
 
     @cached_property
     def _moved_together(self) -> MovedTogether | None:

@@ -51,6 +51,12 @@ def test_an_unknown_step_is_reported_with_suggestions_or_the_existing_ones(typed
         plain_order("T1", "T2").find(typed)
 
 
+def test_a_step_that_serves_all_trajectories_is_named_when_it_is_asked_for_with_one() -> None:
+    order = order_of(CLINICAL_STEPS, ("T1", "T2"))
+    with pytest.raises(UnknownStep, match=r"one plan_check serves all trajectories\. Name plan_check"):
+        order.find("plan_check:T1")
+
+
 REGISTERED = ("image", "localization:T1", "fit:T1", "localization:T2", "fit:T2", "tool_on")
 BACK = (*REGISTERED, "approach:T1", "held:T1", "back:T1")
 INSIDE = (*BACK, "approach:T2", "held:T2")

@@ -36,7 +36,7 @@ from procedures.operator.question import Topic
 from procedures.registration.arm_learning import LearnedTarget
 from procedures.registration.error_sources import FUSION
 from procedures.registration.target_prediction import TargetPrediction
-from procedures.steps.clinical.registration import STEP, require_believable
+from procedures.steps.clinical.registration import STEP, require_explained_corrections
 from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from procedures.steps.clinical.unnoticed import BASE, GUIDE, HEAD, expect_unnoticed
 from procedures.strategies.catalogue import find_strategy
@@ -359,8 +359,10 @@ def test_a_single_localization_serves_all_trajectories_and_each_is_accepted(cell
 
 @pytest.mark.hazard(67)
 @pytest.mark.branch("CORRECTION_BEYOND")
-def test_a_learned_correction_beyond_its_multiple_of_what_is_stated_is_refused_with_what_to_check() -> None:
-    predicted = TargetPrediction({"arm": np.eye(3) * 0.16})  # 0.69 mm rms
-    require_believable(LearnedTarget(np.array([9.0, 0.0, 0.0]), predicted, stated_mm=2.0), FIRST)
-    with raises(GateFailed, match=r"11\.00 mm.*Check which arm"):
-        require_believable(LearnedTarget(np.array([11.0, 0.0, 0.0]), predicted, stated_mm=2.0), FIRST)
+def test_a_learned_correction_beyond_its_limit_is_refused_with_what_to_check() -> None:
+    predicted = TargetPrediction({"arm": np.eye(3) * 0.16})
+    require_explained_corrections({FIRST: LearnedTarget(np.array([9.0, 0.0, 0.0]), predicted, limit_mm=10.0)})
+    with raises(GateFailed, match=r"11\.00 mm.*Check the spheres"):
+        require_explained_corrections(
+            {FIRST: LearnedTarget(np.array([11.0, 0.0, 0.0]), predicted, limit_mm=10.0)}
+        )
