@@ -155,7 +155,7 @@ def require_explained_corrections(corrections: Mapping[str, LearnedTarget]) -> N
                 f"the correction learned for {target} is longer than errors of this arm explain",
                 limit=f"{limit} mm",
                 got=f"{got} mm",
-                action="Check the spheres, and of which arm, stereo head and guide the calibrations were made, "
+                action="Check the spheres, and whose calibrations arm, stereo head and guide have, "
                 "then localize again.",
             )
 
