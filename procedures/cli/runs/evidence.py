@@ -45,7 +45,7 @@ RESTORE = (
     "put changed and missing files back from a copy of the run, and move added ones out; if only report.html "
     "is named, ronna-procedure report RUN --out DIR makes it anew"
 )
-RESUME = "ronna-procedure show RUN says where it is, and how it goes on; no file has changed"
+RESUME = "ronna-procedure show RUN says where it is, and how it goes on; no other file has changed"
 MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them
 
 
