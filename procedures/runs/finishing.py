@@ -185,8 +185,8 @@ def seal_run(folder: Path, left: InterruptedRun | None = None, *, at_once: bool 
     """Seal the files of a run, including its report. Failures are reported, not raised.
 
     If its journal is still as it was `left`, no line names what was found changed or unconfirmed: that keeps
-    its former hash, and a run without a seal remains without one. Slow work is skipped if the end must come `at_once`,
-    or when it is interrupted.
+    its former hash, and a run without a seal remains without one. Slow work is skipped if the end must come
+    `at_once`, or when it is interrupted.
     """
     if not (folder / JOURNAL_FILE).exists():
         return
