@@ -6,9 +6,7 @@ no longer counts; the plan stays in the CT. What counts instead is the error of 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import date
 from math import dist
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -22,12 +20,9 @@ from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.fusion.record import FusedPose
-from procedures.imaging.dicom.slice_headers import (
-    ScanIdentity,
-    list_dicom_files,
-    parse_date,
-    read_scan_identity,
-)
+from procedures.imaging.dicom.scan_moment import ScanMoment, read_moments, read_stated_date
+from procedures.imaging.dicom.series_hash import hash_series
+from procedures.imaging.dicom.slice_headers import list_dicom_files, read_scan_identity
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.localizers import LOCALIZERS
 from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker, ScanDeformation
@@ -57,7 +52,6 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.conditions import needs_arm_home
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
-from ronna_hw.evidence.manifest import sha256_of
 from ronna_hw.text import format_count
 from ronna_hw.vectors import vector3
 from ronna_hw.wire.room_tasks import SCAN
@@ -251,19 +245,13 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
 
 
 def describe_scan(series: Path) -> str:
-    """Return how many files a scan has, its series and its date, for the question; never the patient."""
+    """Return how many files a scan has, and its date and time, for the question; never the patient."""
     files = list_dicom_files(series) if series.is_dir() else []
     if not files:
         return "no scan yet"
-    identity = read_scan_identity(series)
-    made = f"of {identity.date}" if identity.date else "without a date"
+    moments = read_moments(series)
+    made = f"of {moments[0].describe()}" if moments else "without a date"
     return f"{format_count(len(files), 'file')} {made}"
-
-
-def hash_series(series: Path) -> str:
-    """Return the SHA-256 of the names and contents of the DICOM files in a folder. Raises CT-001, CT-005."""
-    listed = "".join(f"{path.name} {sha256_of(path)}\n" for path in list_dicom_files(series))
-    return hashlib.sha256(listed.encode()).hexdigest()
 
 
 def used_spheres(case: Case) -> LocalizedFiducials:
@@ -290,22 +278,25 @@ def require_scan_of_operation(ct: Path, scan: Path) -> None:
             expected="another FrameOfReferenceUID",
             got=now.frame_of_reference_uid or "none in both",
         )
-    if _date_of(now, "scan") < _date_of(before, "planning CT"):
+    of_scan, of_ct = _earliest(scan, "scan"), _earliest(ct, "planning CT")
+    if of_scan.is_before(of_ct):
         raise NOT_LATER(
-            "the scan is older than the planning CT", expected="a later date", got="an earlier one"
+            "the scan is older than the planning CT",
+            expected=f"later than {of_ct.describe()}",
+            got=of_scan.describe(),
         )
 
 
-def _date_of(identity: ScanIdentity, what: str) -> date:
-    """Return the date of a scan. Raises CBCT-003 without one."""
-    found = parse_date(identity.date)
-    if found is None:
-        raise NOT_LATER(
-            f"the {what} has no readable date, so the scan is not known to be the later one",
-            expected="such as 20180602",
-            got=repr(identity.date) if identity.date else "none",
-        )
-    return found
+def _earliest(series: Path, what: str) -> ScanMoment:
+    """Return when the first slice of a scan was acquired. Raises CBCT-003 without a date."""
+    if moments := read_moments(series):
+        return moments[0]
+    stated = read_stated_date(series)
+    raise NOT_LATER(
+        f"the {what} has no readable date, so the scan is not known to be the later one",
+        expected="such as 20180602",
+        got=repr(stated) if stated else "none",
+    )
 
 
 def localize_whole(context: StepContext, volume: Volume) -> Localization:
