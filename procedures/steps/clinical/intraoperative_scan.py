@@ -107,7 +107,8 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
         default=(), description="Spheres of the CT that the scan does not show, or not whole."
     )
     expected_mm: Mapping[str, float] = Field(
-        description="Expected rms error of the scan's place at each target, by trajectory."
+        description="Expected rms error of the scan's place at each target, by trajectory, also if all "
+        "spheres have moved together as far as passes unnoticed."
     )
 
     since: ClassVar[str] = "the scan during the operation"
@@ -394,8 +395,8 @@ def _record(
             )
         )
     targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
-    errors = np.linalg.cholesky(pose.covariance).T
-    expected_mm = np.sqrt(np.trace(pose.covariances_mm2(targets_mm), axis1=1, axis2=2))
+    errors = np.linalg.cholesky(placed.stated_pose.covariance).T
+    expected_mm = np.sqrt(np.trace(placed.stated_pose.covariances_mm2(targets_mm), axis1=1, axis2=2))
     return IntraoperativeSpheres(
         series_instance_uid=found.series_instance_uid,
         diameter_mm=found.diameter_mm,

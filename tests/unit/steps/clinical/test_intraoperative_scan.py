@@ -236,7 +236,7 @@ def test_a_sphere_that_the_field_cuts_off_is_named_by_its_number_in_the_ct() -> 
         doubtful=(),
     )
     pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), np.eye(6))
-    unused = find_unused(before, volume, found, PlacedScan(pose, (SpherePair(0, 0, 0.1, True),)))
+    unused = find_unused(before, volume, found, PlacedScan(pose, pose, (SpherePair(0, 0, 0.1, True),)))
     assert [(one.ct_sphere, one.reason) for one in unused] == [
         (1, "is cut off by the field"),
         (2, "is outside the field of view"),
