@@ -104,9 +104,9 @@ def place_scan(bone: PoseEstimate, scan: ScannedSpheres, ct: ScannedSpheres, sea
 def _unnoticed_covariance(of_bone: Array, of_both: Array) -> Array:
     """Return the covariance (6, 6) by which a common displacement of the spheres moves the pose unnoticed.
 
-    Its chi square against the bone is as large as the limit, its direction unknown. The adjustment follows the
-    spheres by I - N C, with the information C of the bone and the covariance N of both; the chi square of a
-    displacement g is g C (I - N C) g. So what the spheres add to the bone is at stake, as far as the limit goes.
+    Its chi square against the bone is as large as the limit, its direction unknown. The adjustment follows
+    the spheres by I - N C, with the information C of the bone and the covariance N of both; the chi square of
+    a displacement g is g C (I - N C) g. So all that the spheres add to the bone is at stake.
     """
     passing = chi_square_limit(POSE_FREEDOM, CONFIDENCE) / POSE_FREEDOM  # per direction
     return np.asarray(passing * (of_bone - of_both))

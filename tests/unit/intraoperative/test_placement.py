@@ -80,7 +80,9 @@ def test_the_stated_error_holds_for_spheres_that_have_moved_together_unnoticed()
         direction = generator.normal(size=3)
         together_mm = 0.35 * direction / np.linalg.norm(direction)
         try:
-            placed = place_scan(by_bone, spheres(in_scan(CT_MM + together_mm, seed)), spheres(CT_MM), SEATING_MM)
+            placed = place_scan(
+                by_bone, spheres(in_scan(CT_MM + together_mm, seed)), spheres(CT_MM), SEATING_MM
+            )
         except SpheresContradict:
             refused += 1
             continue
