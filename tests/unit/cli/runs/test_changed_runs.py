@@ -112,7 +112,7 @@ def test_show_does_not_advise_to_resume_a_changed_run(run: Path) -> None:
     (run / SEAL_FILE).unlink()
     (run / JOURNAL_FILE).write_bytes(b"".join(lines_of(run)[:-1]))  # killed
     assert f"next: ronna-procedure resume {run}" in in_this_process(app, "show", run).stdout
-    spoil(run, "request changed")
+    spoil(run, "record gone")
     shown = in_this_process(app, "show", run).stdout
     assert "ronna-procedure resume" not in shown
     assert f"next: ronna-procedure verify {run}" in shown
