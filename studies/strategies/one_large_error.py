@@ -50,7 +50,7 @@ def _draw(covariances_mm2: Array, random: np.random.Generator) -> Array:
     """Draw independent errors (r, k, 3) mm with covariances (k, 3, 3) mm2, which may be singular."""
     values, vectors = np.linalg.eigh(np.asarray(covariances_mm2))
     roots = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
-    return np.einsum("kij,rkj->rki", roots, random.normal(size=(RUNS, *roots.shape[:2])))
+    return np.asarray(np.einsum("kij,rkj->rki", roots, random.normal(size=(RUNS, *roots.shape[:2]))))
 
 
 def judge_cases(seed: int) -> dict[str, dict[str, float]]:
@@ -66,10 +66,10 @@ def judge_cases(seed: int) -> dict[str, dict[str, float]]:
                 random = np.random.default_rng([seed, place, round(10.0 * factor)])
                 residuals_mm, at_targets_mm = draw_errors(tuple(sources), factor, random)
                 judged = registration.judge(residuals_mm)
-                passed = ~judged.refused(REFUSING)
+                passed = np.logical_not(judged.refused(REFUSING))
                 errors_mm = np.linalg.norm(at_targets_mm + judged.shifts_mm, axis=2)[passed]
                 covered = errors_mm <= judged.limits_mm()[passed]
-                found = (RUNS, (~passed).sum(), covered.size, covered.sum(), errors_mm.sum())
+                found = (RUNS, RUNS - passed.sum(), covered.size, covered.sum(), errors_mm.sum())
                 counts[factor] += np.array(found, dtype=float)
     return {
         f"x{factor:g}": {

@@ -77,7 +77,9 @@ def _texts(path: Path, header: FileDataset, tags: tuple[str, ...]) -> Iterator[s
 def _parse_moment(path: Path, header: FileDataset) -> ScanMoment | None:
     whole = read_attribute_text(path, header, MOMENT)
     stated = [(whole[:DATE_LETTERS], whole[DATE_LETTERS:])]
-    stated += [tuple(_texts(path, header, (f"{kind}Date", f"{kind}Time"))) for kind in KINDS]
+    for kind in KINDS:
+        day_text, time_text = _texts(path, header, (f"{kind}Date", f"{kind}Time"))
+        stated.append((day_text, time_text))
     dated = [(day, time) for text, time in stated if (day := parse_date(text)) is not None]
     if not dated:
         return None
