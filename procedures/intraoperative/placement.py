@@ -7,7 +7,7 @@ is what the scan is for. Spheres that agree among themselves and contradict the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -45,9 +45,14 @@ class SpherePair:
 
 @dataclass(frozen=True, eq=False)
 class PlacedScan:
-    """The adjusted pose, and what became of each sphere that both scans show."""
+    """The adjusted pose, and what became of each sphere that both scans show.
+
+    The error of `pose` is that of spheres that have not moved together, of `stated_pose` also of such as have
+    and pass.
+    """
 
     pose: PoseEstimate
+    stated_pose: PoseEstimate
     pairs: tuple[SpherePair, ...]
 
     @property
@@ -89,11 +94,23 @@ def place_scan(bone: PoseEstimate, scan: ScannedSpheres, ct: ScannedSpheres, sea
     ).tolist()
     return PlacedScan(
         pose,
+        replace(pose, covariance=covariance + _unnoticed_covariance(bone.covariance, covariance)),
         tuple(
             SpherePair(row, column, off_mm, number in kept)
             for number, ((row, column), off_mm) in enumerate(zip(pairs, moved_mm, strict=True))
         ),
     )
+
+
+def _unnoticed_covariance(of_bone: Array, of_both: Array) -> Array:
+    """Return the covariance (6, 6) by which a common displacement of the spheres moves the pose unnoticed.
+
+    Its chi square against the bone is as large as the limit, its direction unknown. The adjustment follows
+    the spheres by I - N C, with the information C of the bone and the covariance N of both; the chi square of
+    a displacement g is g C (I - N C) g. So all that the spheres add to the bone is at stake.
+    """
+    passing = chi_square_limit(POSE_FREEDOM, CONFIDENCE) / POSE_FREEDOM  # per direction
+    return np.asarray(passing * (of_bone - of_both))
 
 
 def require_certain(pose: PoseEstimate, points_mm: Array) -> None:

@@ -196,6 +196,16 @@ def advise(ending: Ending, *, resumable: bool, run: str = "RUN") -> str:
     return f"{code}Put right what is named, then start the command again."
 
 
+def advise_on_changed(*, may_go_home: bool, run: str) -> tuple[str, str]:
+    """Say what to do about a run that is not resumed because its files were changed, and the next command."""
+    first = f"ronna-procedure home {run} still brings the arm home. " if may_go_home else ""
+    return (
+        f"The run is not resumed while files are not as it left them. {first}ronna-procedure verify {run} "
+        "lists them: put them back from a copy and move added ones out. Without a copy, start a new run.",
+        f"ronna-procedure {'home' if may_go_home else 'verify'} {run}",
+    )
+
+
 def name_next_command(ending: Ending, *, resumable: bool, is_arm_out: bool, run: str) -> str:
     """Return the command to type next on `run` after an ending; empty if none goes on with it.
 

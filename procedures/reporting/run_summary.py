@@ -13,7 +13,9 @@ from procedures.journal.results import FramedPose, Values
 from procedures.operator.margin import MarginVerdict
 from procedures.reporting.ending import (
     STOPPED,
+    UNSEALED,
     advise,
+    advise_on_changed,
     ending_of,
     is_resumable,
     name_next_command,
@@ -133,6 +135,11 @@ def summarize_run(reading: RunReading) -> RunSummary:
     name, resumable = escape_controls(shlex.quote(str(reading.folder))), is_resumable(reading)
     is_arm_out = any(one.place.is_out for one in histories)
     targets = tuple(map(SummarizedTarget.of, target_rows(reading, truth)))
+    advice = advise(ending, resumable=resumable, run=name)
+    next_command = name_next_command(ending, resumable=resumable, is_arm_out=is_arm_out, run=name)
+    if run.changes and ending.word in (*STOPPED, UNSEALED):  # `resume` refuses it
+        has_account = not any(change.is_account_file for change in run.changes)
+        advice, next_command = advise_on_changed(may_go_home=is_arm_out and has_account, run=name)
     return RunSummary(
         run=reading.folder.resolve().name,
         theatre=opened.get("theatre"),
@@ -160,8 +167,8 @@ def summarize_run(reading: RunReading) -> RunSummary:
         problems=(*reading.changes, *reading.problems),
         arms={one.arm: one.place.description for one in histories},
         inside=_list_inside(histories) if ending.word in STOPPED else (),
-        advice=advise(ending, resumable=resumable, run=name),
-        next_command=name_next_command(ending, resumable=resumable, is_arm_out=is_arm_out, run=name),
+        advice=advice,
+        next_command=next_command,
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -32,14 +31,12 @@ def run_case(
 
     Raises the errors of steps, PRO-032 if it is not resumed, PRO-013 from the verifier.
     """
-    began_s = time.monotonic()
     engine, theatre_s = run_steps(request, folder, observers, resumption)
     if request.faults is not None and resumption is None:
         begun = (str(line["step"]) for line in read_chain(folder / JOURNAL_FILE).lines if "step" in line)
         for one in list_unreached_faults(request.faults, begun, theatre_s):
             tell(one)
-    before_s = 0.0 if resumption is None else wall_time_s(resumption.interrupted.run.journal)
-    wall_s = before_s + time.monotonic() - began_s
+    wall_s = wall_time_s(read_chain(folder / JOURNAL_FILE).lines)
     return build_finished_outcome(request, engine.case, engine.order.trajectories, theatre_s, wall_s)
 
 

@@ -112,7 +112,7 @@ def build_engine(
     began = now_to_second()
     clinical, recipe = prepared.clinical, prepared.as_plain(calibrations)
     first = opening_line(folder, file, theatre.clock, clinical, began, recipe)
-    tape = ReadingTape(folder / READINGS_FOLDER, theatre.clock.now_s, first)
+    tape = ReadingTape(folder / READINGS_FOLDER, theatre.clock.now_s, first, starts=False)
     stack.callback(tape.close)
     feed = LiveFeed(folder, theatre.clock, events)
     stack.callback(feed.close)
@@ -163,6 +163,7 @@ def build_engine(
         methods=None if clinical is None else clinical.methods.describe(),
         plan_sha256=None if clinical is None else clinical.plan_sha256,
     )
+    tape.start()  # a program killed before its first line in the journal leaves the tape as it was
     engine = Engine(
         prepared.order,
         case,

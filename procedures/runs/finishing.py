@@ -184,9 +184,9 @@ def as_run_error(problem: BaseException) -> RunError | None:
 def seal_run(folder: Path, left: InterruptedRun | None = None, *, at_once: bool = False) -> None:
     """Seal the files of a run, including its report. Failures are reported, not raised.
 
-    If its journal is still as it was `left`, no line names what was found changed: that keeps its former
-    hash, and a run without a seal remains without one. Slow work is skipped if the end must come `at_once`,
-    or when it is interrupted.
+    If its journal is still as it was `left`, no line names what was found changed or unconfirmed: that keeps
+    its former hash, and a run without a seal remains without one. Slow work is skipped if the end must come
+    `at_once`, or when it is interrupted.
     """
     if not (folder / JOURNAL_FILE).exists():
         return
@@ -198,12 +198,14 @@ def seal_run(folder: Path, left: InterruptedRun | None = None, *, at_once: bool 
             return
         hashed, changed = manifest.Manifest(chain.lines), set[str]()
         former: dict[str, str] = {}
+        reopened: tuple[str, ...] = ()
         if left is not None and left.run.chain.last == chain.last:
             if (found := manifest.read_seal(folder)) is None or not manifest.is_sealed(folder):
                 return
-            former, changed = found.files, {change.file for change in left.run.changes}
+            former, changed = found.files, {change.file for change in left.run.changes} | {*left.unsealed}
+            reopened = found.reopened if left.unsealed else ()  # else by this program, which has ended whole
         kept = {name: sha256 for name, sha256 in former.items() if name in changed}
-        manifest.seal(folder, hashed.files, {*hashed.unvouched_files, *changed}, kept)
+        manifest.seal(folder, hashed.files, {*hashed.unvouched_files, *changed}, kept, reopened)
     except (RonnaError, OSError) as problem:
         tell(f"the run could not be sealed: {problem}")
 

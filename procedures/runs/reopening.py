@@ -21,7 +21,7 @@ from procedures.runs.theatre_lock import list_last_runs, require_ready_theatre
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.manifest import KEPT_TRUTH
+from ronna_hw.evidence.manifest import KEPT_TRUTH, reopen_seal
 from ronna_hw.host.files import remove_folder, walk
 from ronna_hw.records import PARTIAL
 
@@ -105,6 +105,7 @@ def prepare_folder(interrupted: InterruptedRun) -> None:
     if interrupted.run.chain.torn:
         torn = len(interrupted.run.chain.torn)
         tell(f"the last line of the journal is truncated ({torn} bytes): it was set aside")
+    reopen_seal(folder, [change.file for change in interrupted.run.changes])
 
 
 def _check_writable(folder: Path) -> None:

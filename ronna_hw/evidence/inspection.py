@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
-from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -298,8 +298,9 @@ def _check_files(folder: Path, chain: JournalChain, manifest: Manifest) -> Itera
     yield from _find_foreign_logs(folder, chain)
     present = [name for name, _ in iterate_files(folder)]
     seal = read_seal(folder)
+    reopened = () if seal is None or seal.journal_bytes != chain.size else seal.reopened
     if closed:
-        yield from compare_files(folder, named)
+        yield from _excuse_resume(compare_files(folder, named), reopened)
         yield from (Problem(name, what) for name, what in manifest.find_exchanged_inputs())
         # What could not be read at the end is compared with what results were made from.
         unread = {name: of for name, of in manifest.result_inputs.items() if name not in named}
@@ -323,15 +324,23 @@ def _check_files(folder: Path, chain: JournalChain, manifest: Manifest) -> Itera
         return
     whole = yield from _compare_with_seal(folder, chain, seal)
     if whole:
-        yield from compare_files(folder, seal.files)
+        yield from _excuse_resume(compare_files(folder, seal.files), reopened)
         added = [name for name in present if name not in named and name not in seal.files]
         if REPORT_FILE not in seal.files:
             what = "not sealed: a report was being made"
             yield from (Problem(name, what, unfinished=True) for name in added if is_of_report(name))
             added = [name for name in added if not is_of_report(name)]
-        yield from _report_added_files(added)
+        yield from _excuse_resume(_report_added_files(added, sealed=not reopened), reopened)
     elif closed:
         yield Problem(SEAL_FILE, "from an earlier end: the last end was not sealed", unfinished=True)
+
+
+def _excuse_resume(problems: Iterable[Problem], reopened: tuple[str, ...]) -> Iterator[Problem]:
+    """Mark changes that a resume makes before its first line in the journal as those of an unfinished run."""
+    for problem in problems:
+        excused = problem.file in reopened
+        what = "not confirmed: a resume that changes it was killed before its first line in the journal"
+        yield replace(problem, what=what, unfinished=True, beside=False) if excused else problem
 
 
 def _find_foreign_logs(folder: Path, chain: JournalChain) -> Iterator[Problem]:

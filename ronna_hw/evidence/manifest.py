@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, cast
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Entry, JournalValue, Line
@@ -42,6 +42,9 @@ LATER_FOLDERS = ("report", RAW_FOLDER)
 BESIDE = f".report{PARTIAL}"  # where a new report is written
 THEATRE_FILES = ("theatre/*.toml", "theatre/*.rom")
 WITH_PORTS = "theatre/theatre.toml"  # written anew by each program that simulates the theatre
+ROTATED_LOGS = tuple(f"{LOG_FILES[0]}.{number}" for number in (1, 2, 3))
+# Files that a resume changes before its first line in the journal, besides partial ones.
+CHANGED_BY_RESUMING = (*LOG_FILES, *ROTATED_LOGS, WORLD_FILE, WITH_PORTS)
 # Folders derived from the run at any time, and not part of it.
 APART = ("export", BESIDE, f".{RAW_FOLDER}{PARTIAL}")
 KEPT_PLAN = "case/plan.toml"  # of a simulated case, written by the run itself
@@ -287,7 +290,11 @@ def hash_truth_files(folder: Path) -> dict[str, JournalValue]:
 
 
 class RunSeal(BaseModel):
-    """Contents of `seal.json`. `own_sha256` is the hash of all other fields."""
+    """Contents of `seal.json`. `own_sha256` is the hash of all other fields.
+
+    Before a resume changes anything it names in `reopened` the files that it changes before its first line in
+    the journal. If it is killed there, they are unconfirmed; all others must match.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -295,6 +302,7 @@ class RunSeal(BaseModel):
     journal_bytes: int = Field(description="Length of the journal that was sealed.")
     journal_sha256: str
     files: dict[str, str] = Field(description="Files not named in the journal, with their SHA-256.")
+    reopened: tuple[str, ...] = Field(default=(), description="Files not confirmed since a resume began.")
     own_sha256: str = ""
 
     @property
@@ -306,17 +314,28 @@ class RunSeal(BaseModel):
         """Return a copy that includes its own hash."""
         return self.model_copy(update={"own_sha256": self._own()})
 
+    @model_serializer(mode="wrap")
+    def _omit_absent_note(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
+        """Write the seal of a run that nobody resumes as before there was such a note."""
+        written: dict[str, object] = serialize(self)
+        return {name: value for name, value in written.items() if name != "reopened" or value}
+
     def _own(self) -> str:
         content = [self.schema_version, self.journal_bytes, self.journal_sha256, self.files]
+        content += [list(self.reopened)] if self.reopened else []
         return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
 def seal(
-    folder: Path, closed: Collection[str], apart: Collection[str] = (), kept: Mapping[str, str] | None = None
+    folder: Path,
+    closed: Collection[str],
+    apart: Collection[str] = (),
+    kept: Mapping[str, str] | None = None,
+    reopened: tuple[str, ...] = (),
 ) -> None:
     """Seal every file that is neither in `closed` (the journal's last line) nor in `apart`.
 
-    Files in `kept` keep these hashes. Raises OSError.
+    Files in `kept` keep these hashes, and `reopened` stay unconfirmed. Raises OSError.
     """
     later = {
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
@@ -326,6 +345,7 @@ def seal(
         journal_bytes=journal.stat().st_size,
         journal_sha256=sha256_of(journal),
         files=later | dict(kept or {}),
+        reopened=reopened,
     ).with_own_hash()
     write_atomically(folder / SEAL_FILE, _encode_seal(new_seal))
 
@@ -346,6 +366,20 @@ def seal_report(folder: Path, *, finished: bool = True) -> None:
         files |= {name: sha256_of(path) for name, path in _own_files(folder) if is_of_report(name)}
     renewed = former.model_copy(update={"files": files}).with_own_hash()
     write_atomically(folder / SEAL_FILE, _encode_seal(renewed))
+
+
+def reopen_seal(folder: Path, changed: Collection[str] = ()) -> None:
+    """Note in a seal that a program resumes the run, before it changes anything else.
+
+    Names found `changed` before it stay changed, whoever is killed. A run without a valid seal needs no note.
+    Raises OSError.
+    """
+    former = find_valid_seal(folder)
+    if former is None or former.reopened:
+        return
+    names = tuple(name for name in CHANGED_BY_RESUMING if name not in changed)
+    noted = former.model_copy(update={"reopened": names}).with_own_hash()
+    write_atomically(folder / SEAL_FILE, _encode_seal(noted))
 
 
 def read_seal(folder: Path) -> RunSeal | None:

@@ -37,7 +37,7 @@ def unsealed(found: Inspection) -> dict[str, int | None]:
     manifest = found.manifest
     known = {*found.not_as_left, *manifest.unvouched_files}
     if is_sealed(found.folder):
-        doubtful = {issue.file for issue in found.changes if is_written_later(issue.file)}
+        doubtful = {issue.file for issue in found.problems if is_written_later(issue.file)}
     else:
         doubtful = {name for name, _ in iterate_files(found.folder)}
         known.update(manifest.files if found.chain.is_closed else manifest.lasting_files, manifest.request)

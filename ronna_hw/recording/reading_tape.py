@@ -68,8 +68,9 @@ class ReadingTape:
         opening: Mapping[str, Any],
         *,
         most_bytes: int = MOST_BYTES,
+        starts: bool = True,
     ) -> None:
-        """Continue the tape left by an earlier process of the run. Raises OSError."""
+        """Continue the tape left by an earlier process of the run, at once or on `start`. Raises OSError."""
         folder.mkdir(parents=True, exist_ok=True)
         self._lines = (folder / READINGS_FILE).open("ab")
         self._pixels = (folder / PIXELS_FILE).open("ab")
@@ -84,11 +85,21 @@ class ReadingTape:
         self._full = False
         self._ending = threading.Event()
         self._writing = threading.Lock()
-        if self._lines.tell():
-            self._lines.write(b"\n")  # terminates a torn line
-        self._write_line({"opening": dict(opening)})
+        self._opening: Mapping[str, Any] | None = opening  # until it is written
+        if starts:
+            self.start()
         self._writer = threading.Thread(target=self._run, name="reading tape", daemon=True)
         self._writer.start()
+
+    def start(self) -> None:
+        """Write the opening line. Until then nothing is written, and the tape is as it was left."""
+        with self._writing:
+            if self._opening is None:
+                return
+            if self._lines.tell():
+                self._lines.write(b"\n")  # terminates a torn line
+            self._write_line({"opening": dict(self._opening)})
+            self._opening = None
 
     def begin(self, section: int) -> None:
         """Record this thread's subsequent answers under section number `section`."""
@@ -151,7 +162,7 @@ class ReadingTape:
     def settle(self) -> None:
         """Write all queued answers, so that a later kill loses none of them. Never raises."""
         with self._writing:
-            if self._lines.closed:
+            if self._lines.closed or self._opening is not None:
                 return
             try:
                 self._write_waiting()
@@ -166,7 +177,7 @@ class ReadingTape:
             self.settle()
         self.settle()
         with self._writing:
-            if self._full and not self._lines.closed:
+            if self._full and self._opening is None and not self._lines.closed:
                 with suppress(OSError):
                     self._write_line({"full": True})
             self._close_files()

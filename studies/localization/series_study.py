@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from procedures.imaging import Volume, read_series
+from procedures.imaging.dicom.series_hash import hash_series
+from procedures.imaging.dicom.slice_headers import read_headers
 from ronna_hw.arrays import Array
 from studies.campaign.study import Study, Sums, Table, Unit, as_sums, blocks_of_each, generator
 from studies.errors import SERIES_WITHOUT_ROOM
@@ -53,6 +55,15 @@ class SeriesStudy(Study):
     name: str = "localization-series"
 
     constants: ClassVar = {"markers": MARKERS}
+
+    def settings(self) -> dict[str, object]:
+        """Return the settings with the series itself, as another may lie at its path the next time."""
+        folder = Path(self.series)
+        return {
+            **super().settings(),
+            "series_instance_uid": read_headers(folder)[0].series_instance_uid,
+            "series_sha256": hash_series(folder),
+        }
 
     def units(self) -> Sequence[Unit]:
         return blocks_of_each(([post] for post in POSTS), self.volumes, 1)

@@ -32,6 +32,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome, StepSpec
 from procedures.guards.errors import INPUT_CHANGED
+from procedures.imaging.dicom.series_hash import hash_series
 from procedures.imaging.series import read_series
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
@@ -41,7 +42,7 @@ from procedures.runs.comparison import Comparison, compare_inputs
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.cart_lock import LockedCart, Proposal
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, hash_series
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.inputs import UnchangedInputs
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -29,6 +28,7 @@ from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import check_case
 from ronna_hw.command_line.messages import say, tell
 from ronna_hw.command_line.terminal import on_terminal
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -69,7 +69,6 @@ def _carry_out_commands(
         finalize_run(folder, left, name_report=False) as final,
         pause_on_interrupt() as interrupts,
     ):
-        began_s = time.monotonic()
         followers: list[EventFollower] = []
 
         def catch_up() -> None:
@@ -117,8 +116,7 @@ def _carry_out_commands(
             theatre_s = engine.setting.clock.now_s()  # the clock ends with its theatre
         _require_instrument_out(engine)
         if engine.over:
-            before_s = 0.0 if resumption is None else wall_time_s(resumption.interrupted.run.journal)
-            wall_s = before_s + time.monotonic() - began_s
+            wall_s = wall_time_s(read_chain(folder / JOURNAL_FILE).lines)
             outcome = build_finished_outcome(
                 request, engine.case, engine.order.trajectories, theatre_s, wall_s
             )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument, CallbackParam, Option
 
 from procedures.reporting.page_file import PAGE_SUFFIX
 from ronna_hw.command_line.errors import UsageMistake
@@ -31,8 +31,15 @@ FolderOption = Annotated[
 ]
 
 
-def require_page(out: Path) -> Path:
-    """Return the file for a page. Raises CLI-001 for another type, CLI-005 in a run or without a folder."""
+def require_page(parameter: CallbackParam, out: Path) -> Path:
+    """Return the file for a page; a folder gets it by its usual name, and is created if need be.
+
+    Raises CLI-001 for another type, CLI-005 in a run or without a folder around it.
+    """
+    if out.is_dir() or not out.suffix:
+        folder, out = out, out / Path(str(parameter.default)).name
+        require_folder_of(folder)
+        folder.mkdir(exist_ok=True)
     if out.suffix.lower() != PAGE_SUFFIX:
         raise UsageMistake(
             f"--out: {out.name} is no page",
@@ -56,6 +63,9 @@ def telling_replacement(page: Path) -> Iterator[None]:
 PageOption = Annotated[
     Path,
     Option(
-        "--out", metavar="FILE", help="The page to write: HTML, to be printed on A4.", callback=require_page
+        "--out",
+        metavar="FILE",
+        help="The page to write, or its folder: HTML, to be printed on A4.",
+        callback=require_page,
     ),
 ]

@@ -5,7 +5,6 @@ Both results are defined here, so that all who read the spheres of a case find t
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -18,7 +17,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.fusion.record import FusedPose
-from procedures.imaging.dicom.slice_headers import list_dicom_files
+from procedures.imaging.dicom.series_hash import hash_series
 from procedures.imaging.localizers import LOCALIZERS, Localizer
 from procedures.imaging.markers import Candidate, Marker, ScanDeformation
 from procedures.imaging.pictures import draw_candidates, draw_markers
@@ -33,7 +32,6 @@ from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
-from ronna_hw.evidence.manifest import sha256_of
 
 PICTURED_DOUBTFUL = 6  # the likeliest; more would hide the markers in the report
 SixVectors = Annotated[tuple[Numbers3, ...], Field(min_length=6, max_length=6)]
@@ -168,7 +166,8 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan", vers
         default=(), description="Spheres of the CT that the scan does not show, or not whole."
     )
     expected_mm: Mapping[str, float] = Field(
-        description="Expected rms error of the scan's place at each target, by trajectory."
+        description="Expected rms error of the scan's place at each target, by trajectory, also if all "
+        "spheres have moved together as far as passes unnoticed."
     )
 
     since: ClassVar[str] = "the scan during the operation"
@@ -221,12 +220,6 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan", vers
         sizes = np.linalg.cholesky(pose.covariance)
         there_mm = rotation @ pose_jacobian(np.array(target_mm), pose.middle_mm) @ sizes
         return (SharedErrors(SCAN_PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
-
-
-def hash_series(series: Path) -> str:
-    """Return the SHA-256 of the names and contents of the DICOM files in a folder. Raises CT-001, CT-005."""
-    listed = "".join(f"{path.name} {sha256_of(path)}\n" for path in list_dicom_files(series))
-    return hashlib.sha256(listed.encode()).hexdigest()
 
 
 def estimate_of(result: IntraoperativeSpheres) -> PoseEstimate:

@@ -7,7 +7,6 @@ A sphere keeps its number in the CT; one that is new since then has a number aft
 
 from __future__ import annotations
 
-from datetime import date
 from itertools import count
 from math import dist
 from pathlib import Path
@@ -19,12 +18,9 @@ from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.fusion.record import FusedPose
-from procedures.imaging.dicom.slice_headers import (
-    ScanIdentity,
-    list_dicom_files,
-    parse_date,
-    read_scan_identity,
-)
+from procedures.imaging.dicom.scan_moment import ScanMoment, read_moments, read_stated_date
+from procedures.imaging.dicom.series_hash import hash_series
+from procedures.imaging.dicom.slice_headers import list_dicom_files, read_scan_identity
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.localizers import LOCALIZERS
 from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker
@@ -50,7 +46,6 @@ from procedures.steps.clinical.fiducial_localization import (
     LocalizedFiducials,
     ScannedSphere,
     UnusedSphere,
-    hash_series,
 )
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -142,12 +137,12 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
 
 
 def describe_scan(series: Path) -> str:
-    """Return how many files a scan has, its series and its date, for the question; never the patient."""
+    """Return how many files a scan has, and its date and time, for the question; never the patient."""
     files = list_dicom_files(series) if series.is_dir() else []
     if not files:
         return "no scan yet"
-    identity = read_scan_identity(series)
-    made = f"of {identity.date}" if identity.date else "without a date"
+    moments = read_moments(series)
+    made = f"of {moments[0].describe()}" if moments else "without a date"
     return f"{format_count(len(files), 'file')} {made}"
 
 
@@ -175,22 +170,25 @@ def require_scan_of_operation(ct: Path, scan: Path) -> None:
             expected="another FrameOfReferenceUID",
             got=now.frame_of_reference_uid or "none in both",
         )
-    if _date_of(now, "scan") < _date_of(before, "planning CT"):
+    of_scan, of_ct = _earliest(scan, "scan"), _earliest(ct, "planning CT")
+    if of_scan.is_before(of_ct):
         raise NOT_LATER(
-            "the scan is older than the planning CT", expected="a later date", got="an earlier one"
+            "the scan is older than the planning CT",
+            expected=f"later than {of_ct.describe()}",
+            got=of_scan.describe(),
         )
 
 
-def _date_of(identity: ScanIdentity, what: str) -> date:
-    """Return the date of a scan. Raises CBCT-003 without one."""
-    found = parse_date(identity.date)
-    if found is None:
-        raise NOT_LATER(
-            f"the {what} has no readable date, so the scan is not known to be the later one",
-            expected="such as 20180602",
-            got=repr(identity.date) if identity.date else "none",
-        )
-    return found
+def _earliest(series: Path, what: str) -> ScanMoment:
+    """Return when the first slice of a scan was acquired. Raises CBCT-003 without a date."""
+    if moments := read_moments(series):
+        return moments[0]
+    stated = read_stated_date(series)
+    raise NOT_LATER(
+        f"the {what} has no readable date, so the scan is not known to be the later one",
+        expected="such as 20180602",
+        got=repr(stated) if stated else "none",
+    )
 
 
 def localize_whole(context: StepContext, volume: Volume) -> Localization:
@@ -284,8 +282,8 @@ def _record(
             )
         )
     targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
-    errors = np.linalg.cholesky(pose.covariance).T
-    expected_mm = np.sqrt(np.trace(pose.covariances_mm2(targets_mm), axis1=1, axis2=2))
+    errors = np.linalg.cholesky(placed.stated_pose.covariance).T
+    expected_mm = np.sqrt(np.trace(placed.stated_pose.covariances_mm2(targets_mm), axis1=1, axis2=2))
     return IntraoperativeSpheres(
         series_instance_uid=found.series_instance_uid,
         diameter_mm=found.diameter_mm,

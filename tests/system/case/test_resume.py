@@ -1,6 +1,8 @@
 """A killed case is resumed and ends the same way."""
 
 import json
+import subprocess
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -8,11 +10,14 @@ from kills import LARGEST_CHANGE_MM, assert_no_byte_before_acceptance, killed_at
 from run_folders import run_folder
 from undisturbed import MINI_SEED_3, undisturbed_mini
 from user_commands import Commands
+from waiting import eventually
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.live.flight_log import log_files
 from ronna_hw import load_run
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_UNCONFIRMED
+from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.evidence.manifest import LOG_FILES
 from sim.world.saved_world import WORLD_FILE
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -21,6 +26,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 SETTLES, EXCHANGED = '"what":"settle"', '"topic":"tool_change"'
 GOES_IN, COMES_OUT = '"what":"insert"', '"what":"withdraw"'
 MEASURES = '"step":"target_measurement:T1"'
+STARTED_S = 60.0
 LARGEST_ERROR_MM = 1.0  # of either kind of case on this seed: three times what they have
 AT_TARGET = '"topic":"at_target:T1"'
 
@@ -130,3 +136,28 @@ def test_a_stray_file_or_an_unreadable_plan_does_not_keep_the_arm_from_going_hom
     assert json.loads(done.stdout) == {"run": killed.folder.name, "home": True, "moved": True}, done.stderr
     assert "case/plan.toml: changed" in done.stderr
     assert commands.run("ronna-procedure", "resume", folder, "--accept").returncode != 0
+
+
+@pytest.mark.hazard(2)
+def test_a_resume_killed_at_any_moment_of_its_start_can_be_repeated(
+    commands: Commands, tmp_path: Path
+) -> None:
+    killed = killed_at(commands, MINI_SEED_3, tmp_path, SETTLES)
+    commands.run("ronna-procedure", "home", str(killed.folder), "--accept")  # closes and seals it
+    for after_s in (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5):
+        _kill_resume(commands, killed.folder, after_s)
+        assert inspect_run(killed.folder).changes == (), f"killed {after_s} s after its first change"
+    assert reopen_run(commands, killed)["outcome"] == "done"
+
+
+def _kill_resume(commands: Commands, run: Path, after_s: float) -> None:
+    """Resume a run, and kill the program so long after its first change, in its log."""
+    log = run / LOG_FILES[0]
+    before_bytes = log.stat().st_size
+    process = commands.start("ronna-procedure", "resume", str(run), "--accept")
+    eventually(lambda: log.stat().st_size != before_bytes or process.poll() is not None, STARTED_S)
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(after_s)
+    process.kill()
+    process.communicate()
+    assert commands.await_no_survivors() == []

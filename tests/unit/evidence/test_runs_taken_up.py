@@ -14,8 +14,9 @@ from user_commands import in_this_process
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, JournalValue, read_journal
-from procedures.runs.finishing import complete_seal
-from procedures.runs.interrupted_run import read_interrupted_run
+from procedures.runs.finishing import complete_seal, seal_run
+from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
+from procedures.runs.reopening import prepare_folder
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import Problem, inspect_run
 from ronna_hw.evidence.journal_reading import RUN_CHANGED, read_chain
@@ -58,6 +59,16 @@ def finished_again(run: Path) -> None:
     """Complete a finished run that was killed before its seal, as `resume` does."""
     with complete_seal(read_interrupted_run(run)):
         pass
+
+
+def resumed_and_killed_as_it_began(run: Path) -> InterruptedRun:
+    """What a `resume` leaves that was killed before its first line in the journal."""
+    left = read_interrupted_run(run, only_leaving=True)
+    prepare_folder(left)
+    with (run / "log.jsonl").open("a") as log:
+        log.write("opened again\n")
+    (run / "theatre" / "world.json").write_text(f"after {(run / 'log.jsonl').stat().st_size} bytes")
+    return left
 
 
 def with_a_changed_picture(run: Path) -> Path:
@@ -232,3 +243,40 @@ def told_by_verify(run: Path) -> list[str]:
     assert ("intact as far as can be said" in first) == bool(sentences)
     assert first.endswith("as they lay when it was taken up again") == bool(sentences)
     return list(said["not_vouched_for"])
+
+
+@pytest.mark.hazard(39)
+def test_a_resume_that_is_killed_as_it_begins_can_be_repeated(run: Path) -> None:
+    for _ in range(2):
+        resumed_and_killed_as_it_began(run)
+        found = inspect_run(run)
+        assert {problem.file for problem in found.problems} == {"log.jsonl", "theatre/world.json"}
+        assert found.changes == ()
+        assert read_interrupted_run(run).unsealed.keys() == {"log.jsonl", "theatre/world.json"}
+    gone_home(run)
+    assert inspect_run(run).problems == ()
+    (sentence,) = told_by_verify(run)
+    assert "log.jsonl" in sentence
+
+
+@pytest.mark.hazard(39)
+def test_a_killed_resume_excuses_nobody_elses_changes(run: Path) -> None:
+    (run / "log.jsonl").write_text("not what was logged\n")
+    resumed_and_killed_as_it_began(run)
+    assert changed_files(run) == {"log.jsonl"}
+    (run / "case" / "plan.toml").write_text("another")
+    (run / "theatre" / "theatre.toml.copy").write_text("added")
+    next((run / "pictures").iterdir()).write_bytes(b"another")
+    (run / "report" / "targets.csv").write_text("better")
+    changed = {"log.jsonl", "case/plan.toml", "pictures/ct-1.png", "report/targets.csv"}
+    assert changed_files(run) == {*changed, "theatre/theatre.toml.copy"}
+
+
+@pytest.mark.hazard(39)
+def test_a_resume_that_ends_itself_as_it_begins_leaves_the_run_sealed(run: Path) -> None:
+    seal_run(run, resumed_and_killed_as_it_began(run))
+    assert inspect_run(run).problems == ()
+    resumed_and_killed_as_it_began(run)
+    seal_run(run, resumed_and_killed_as_it_began(run))
+    found = inspect_run(run)
+    assert (found.changes, len(found.problems)) == ((), 2)  # it does not vouch for what the killed one left

@@ -71,6 +71,28 @@ def test_stated_errors_of_the_place_are_those_that_it_has() -> None:
     assert 0.7 < np.mean(squares) < 1.4
 
 
+def test_the_stated_error_holds_for_spheres_that_have_moved_together_unnoticed() -> None:
+    generator = np.random.default_rng(7)
+    squares, honest_squares, refused = [], [], 0
+    for seed in range(80):
+        exact = bone()
+        by_bone = exact.moved(generator.normal(0.0, [0.002] * 3 + [0.1] * 3), exact.covariance)
+        direction = generator.normal(size=3)
+        together_mm = 0.35 * direction / np.linalg.norm(direction)
+        try:
+            placed = place_scan(
+                by_bone, spheres(in_scan(CT_MM + together_mm, seed)), spheres(CT_MM), SEATING_MM
+            )
+        except SpheresContradict:
+            refused += 1
+            continue
+        off_mm = (placed.pose.ct_from_scan.apply(CT_FROM_SCAN.inv().apply(TARGET_MM)) - TARGET_MM)[0]
+        for pose, found in ((placed.stated_pose, squares), (placed.pose, honest_squares)):
+            found.append(off_mm @ off_mm / np.trace(pose.covariances_mm2(TARGET_MM)[0]))
+    assert 0 < refused < 40
+    assert np.mean(squares) < 1.0 < np.mean(honest_squares)
+
+
 def test_spheres_that_sit_as_in_the_ct_are_noticed_and_refitted_ones_are_not() -> None:
     again = place_scan(bone(), spheres(CT_FROM_SCAN.inv().apply(CT_MM)), spheres(CT_MM), SEATING_MM)
     assert are_unmoved(again, SEATING_MM)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +11,14 @@ from coded_errors import raises
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from procedures.imaging import Volume, VoxelGeometry, localize
+from sim.phantom.scanner.dicom_series import DicomSeries
+from sim.phantom.scanner.grid import CtGrid
+from sim.world.scene.model import CtProtocol
+from sim.world.scene.named_scenes import draw_scene
 from studies.errors import SERIES_WITHOUT_ROOM, SERIES_WITHOUT_SCALE
 from studies.localization.inserted_markers import InsertedMarker, insert_markers
 from studies.localization.scanner_of_series import SeriesScanner, measure_scanner
-from studies.localization.series_study import MARKERS, place_markers
+from studies.localization.series_study import MARKERS, SeriesStudy, place_markers
 
 SPACING = np.array([1.5, 0.8, 0.8])
 BLUR_MM, NOISE_HU = 0.6, 12.0
@@ -81,3 +86,20 @@ def test_a_head_that_fills_the_field_is_refused() -> None:
 def test_air_without_a_head_is_refused() -> None:
     with raises(SERIES_WITHOUT_ROOM):
         measure_scanner(volume_of(np.full((40, 120, 120), -1000.0)))
+
+
+def test_another_series_at_the_same_path_is_another_study(tmp_path: Path) -> None:
+    grid, tiny = (
+        CtGrid((0.0, 0.0, 0.0), 1.0, 1.0, 16, 16, 1),
+        CtProtocol(pixel_mm=1.0, slice_mm=1.0, columns=16, rows=16, slices=1),
+    )
+    found = []
+    for seed in (1000, 1000, 1001):
+        scene = draw_scene("default", seed=seed).model_copy(update={"ct": tiny})
+        series = DicomSeries(scene, grid, tmp_path, date="20180601", occasion="the CT")
+        series.prepare()
+        series.write(0, np.zeros((16, 16), "<u2"))
+        found.append(SeriesStudy(str(tmp_path), 1, 7).settings())
+    assert found[0] == found[1]
+    assert found[2]["series_sha256"] != found[0]["series_sha256"]
+    assert found[2]["series_instance_uid"] != found[0]["series_instance_uid"]

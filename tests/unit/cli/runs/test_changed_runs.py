@@ -108,6 +108,16 @@ def test_every_command_names_the_changed_file_of_a_run(run: Path, how: str) -> N
     )
 
 
+def test_show_does_not_advise_to_resume_a_changed_run(run: Path) -> None:
+    (run / SEAL_FILE).unlink()
+    (run / JOURNAL_FILE).write_bytes(b"".join(lines_of(run)[:-1]))  # killed
+    assert f"next: ronna-procedure resume {run}" in in_this_process(app, "show", run).stdout
+    spoil(run, "record gone")
+    shown = in_this_process(app, "show", run).stdout
+    assert "ronna-procedure resume" not in shown
+    assert f"next: ronna-procedure verify {run}" in shown
+
+
 @pytest.mark.hazard(39)
 def test_a_full_disk_while_sealing_a_run_loses_nothing(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

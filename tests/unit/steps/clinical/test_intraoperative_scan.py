@@ -34,6 +34,7 @@ from procedures.steps.clinical.fiducial_localization import IntraoperativeSphere
 from procedures.steps.clinical.intraoperative_scan import (
     STEP,
     _record,
+    describe_scan,
     find_unused,
     localize_whole,
     number_spheres,
@@ -142,7 +143,7 @@ def test_a_person_says_that_the_scan_is_of_the_head_as_clamped_and_a_no_takes_no
     with raises(NotConfirmed, match="made of the head as it is clamped now"):
         engine.run_to()
     (asked,) = [one for one in cell.operator.asked if one.topic is Topic.SCANNED]
-    assert asked.value_line.startswith("1 file of 20180602 in ")
+    assert asked.value_line.startswith("1 file of 20180602 12:00:00 in ")
     assert asked.value_line.endswith("it was there before this step began")
     assert engine.case.find(IntraoperativeSpheres, None) is None
 
@@ -265,6 +266,37 @@ def test_a_scan_that_is_not_known_to_be_later_is_refused(
         require_scan_of_operation(ct, scan)
 
 
+@pytest.mark.parametrize(
+    ("stated", "is_older"),
+    [
+        ({"AcquisitionDate": "20180601", "AcquisitionTime": "110000"}, True),
+        ({"AcquisitionDate": "20180601", "AcquisitionTime": "150000.25"}, False),
+        ({"AcquisitionDate": "20180601", "ContentDate": "20180602"}, False),  # its time is unknown
+        ({"AcquisitionDateTime": "20180501100000"}, True),
+        ({"AcquisitionDateTime": "20180601150000.5+0400"}, True),  # as the clock of the CT has it, 13:00
+        ({"AcquisitionDateTime": "20180601150000", "TimezoneOffsetFromUTC": "+0200"}, False),
+    ],
+)
+def test_a_scan_is_older_by_the_time_and_by_the_first_date_that_is_stated(
+    tmp_path: Path, stated: dict[str, str], is_older: bool
+) -> None:
+    scene = draw_scene("default", seed=1000)
+    ct = write_slice(tmp_path / "ct", scene, "20180601", "the CT")
+    scan = write_slice(tmp_path / "scan", scene, "20180602")
+    of_ct = {"AcquisitionTime": "140000", "TimezoneOffsetFromUTC": "+0200"}
+    for folder, attributes in ((ct, of_ct), (scan, stated)):
+        for path in folder.iterdir():
+            header = dcmread(path)
+            header.update(attributes)
+            header.save_as(path)
+    assert any(words in describe_scan(scan) for words in (":00:00", "at an unknown time"))
+    if not is_older:
+        require_scan_of_operation(ct, scan)
+        return
+    with raises(NOT_LATER, match="expected later than 20180601 14:00:00"):
+        require_scan_of_operation(ct, scan)
+
+
 @pytest.mark.hazard(68)
 def test_a_scan_of_a_nameless_patient_is_refused(tmp_path: Path) -> None:
     scene = draw_scene("default", seed=1000)
@@ -296,7 +328,7 @@ def test_a_sphere_that_the_field_cuts_off_is_named_by_its_number_in_the_ct() -> 
         doubtful=(),
     )
     pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), np.eye(6))
-    unused = find_unused(before, volume, found, PlacedScan(pose, (SpherePair(0, 0, 0.1, True),)))
+    unused = find_unused(before, volume, found, PlacedScan(pose, pose, (SpherePair(0, 0, 0.1, True),)))
     assert [(one.fiducial, one.reason) for one in unused] == [
         (1, "is cut off by the field"),
         (2, "is outside the field of view"),
