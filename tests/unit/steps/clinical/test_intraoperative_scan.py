@@ -200,7 +200,7 @@ def test_spheres_that_all_sit_as_in_the_ct_are_asked_about_and_a_no_ends_the_ste
 @pytest.mark.hazard(68)
 def test_a_sphere_keeps_its_number_of_the_ct_and_a_new_one_comes_after_those() -> None:
     pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), np.eye(6))
-    placed = PlacedScan(pose, (SpherePair(0, 3, 0.1, True), SpherePair(2, 0, 0.1, True)))
+    placed = PlacedScan(pose, pose, (SpherePair(0, 3, 0.1, True), SpherePair(2, 0, 0.1, True)))
     assert number_spheres(placed, shown=4, in_ct=4) == (4, 5, 1, 6)
 
 
@@ -212,7 +212,7 @@ def test_the_record_has_each_sphere_at_its_index_of_the_ct_and_places_of_the_ct_
     moved = in_ct[0].model_copy(update={"centre_mm": (x_mm + 1.0, y_mm, z_mm)})
     found = Localization((in_ct[3], new, moved), (), "1.2.9", "1.2.10", 11.5)
     pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), 1e-4 * np.eye(6))
-    placed = PlacedScan(pose, (SpherePair(0, 3, 0.0, True), SpherePair(2, 0, 1.0, False)))
+    placed = PlacedScan(pose, pose, (SpherePair(0, 3, 0.0, True), SpherePair(2, 0, 1.0, False)))
     bone = BonePose(pose, 0.9, 6, 6)
     result = _record(before, found, "0" * 64, bone, placed, checked_plan(), ())
     assert [one.centre_mm for one in result.markers] == [

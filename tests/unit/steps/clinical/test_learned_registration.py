@@ -109,10 +109,12 @@ def test_a_bound_of_a_moved_sphere_beyond_the_margin_is_a_finding_and_confirmed_
     assert any(f"off by {bound_mm:.2f} mm" in one for one in findings(cell))
 
 
+@pytest.mark.hazard(67)
+@pytest.mark.branch("CORRECTION_BEYOND")
 def test_a_correction_longer_than_errors_of_the_arm_explain_is_refused() -> None:
     unlike = LearnedTarget(np.array([6.0, 0.0, 0.0]), TargetPrediction({}), limit_mm=5.0)
     with raises(GateFailed, match="limit 5.00 mm, got 6.00 mm"):
-        registration._require_explained_corrections({FIRST: unlike})
+        registration.require_explained_corrections({FIRST: unlike})
 
 
 def test_every_sphere_that_may_have_moved_is_named() -> None:

@@ -11,7 +11,6 @@ import pytest
 from arm_looks import SPHERES_MM as LOOKED_AT_MM
 from arm_looks import LookingArm
 from clinical_case import FIRST, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell
-from coded_errors import raises
 from prepared_results import (
     CENTRES_CT_MM,
     checked_paths,
@@ -33,10 +32,8 @@ from procedures.imaging.localizers import Localizer
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
-from procedures.registration.arm_learning import LearnedTarget
 from procedures.registration.error_sources import FUSION
-from procedures.registration.target_prediction import TargetPrediction
-from procedures.steps.clinical.registration import STEP, require_explained_corrections
+from procedures.steps.clinical.registration import STEP
 from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from procedures.steps.clinical.unnoticed import BASE, GUIDE, HEAD, expect_unnoticed
 from procedures.strategies.catalogue import find_strategy
@@ -355,14 +352,3 @@ def test_a_single_localization_serves_all_trajectories_and_each_is_accepted(cell
     assert tuple(one.target for one in stored.result.predictions) == TRAJECTORIES
     assert [one.trajectory for one in cell.operator.asked] == list(TRAJECTORIES)
     assert stored.record.trajectory is None
-
-
-@pytest.mark.hazard(67)
-@pytest.mark.branch("CORRECTION_BEYOND")
-def test_a_learned_correction_beyond_its_limit_is_refused_with_what_to_check() -> None:
-    predicted = TargetPrediction({"arm": np.eye(3) * 0.16})
-    require_explained_corrections({FIRST: LearnedTarget(np.array([9.0, 0.0, 0.0]), predicted, limit_mm=10.0)})
-    with raises(GateFailed, match=r"11\.00 mm.*Check the spheres"):
-        require_explained_corrections(
-            {FIRST: LearnedTarget(np.array([11.0, 0.0, 0.0]), predicted, limit_mm=10.0)}
-        )
