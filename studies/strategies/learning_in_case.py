@@ -54,12 +54,14 @@ CASE_SEEDS = tuple(range(8))  # of simulated cases, for development
 STAND_OFF_MM = 30.0  # of the guide from the entry, in the plans of simulated cases
 # Of a strain's components as the shapes of five spheres show them, by the usual protocol of simulated cases.
 SHOWN = 2.5e-4
-UNSTRAINED = ScanDeformation(
-    spheres=FREE_SPHERES,
-    strain=((0.0,) * 3,) * 3,
-    covariance=tuple(tuple(row) for row in np.diag(np.full(5, SHOWN**2)).tolist()),
-    chi_square=0.0,
-    limit=1.0,
+UNSTRAINED = ScanDeformation.model_validate(
+    {
+        "spheres": FREE_SPHERES,
+        "strain": np.zeros((AXES, AXES)).tolist(),
+        "covariance": np.diag(np.full(5, SHOWN**2)).tolist(),
+        "chi_square": 0.0,
+        "limit": 1.0,
+    }
 )
 STUDY, HEAD, RECORD, SCAN, GUIDE, STRETCHED = (
     "study",
