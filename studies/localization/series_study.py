@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from procedures.imaging import Volume, read_series
-from procedures.imaging.dicom.series_hash import hash_series
-from procedures.imaging.dicom.slice_headers import read_headers
+from procedures.imaging.dicom.slice_headers import hash_series, read_headers
 from ronna_hw.arrays import Array
 from studies.campaign.study import Study, Sums, Table, Unit, as_sums, blocks_of_each, generator
 from studies.errors import SERIES_WITHOUT_ROOM

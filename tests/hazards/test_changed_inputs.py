@@ -32,7 +32,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome, StepSpec
 from procedures.guards.errors import INPUT_CHANGED
-from procedures.imaging.dicom.series_hash import hash_series
+from procedures.imaging.dicom.slice_headers import hash_series
 from procedures.imaging.series import read_series
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult

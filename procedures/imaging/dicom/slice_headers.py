@@ -5,6 +5,7 @@ The identity is read only on request: volumes, markers, logs and reports contain
 
 from __future__ import annotations
 
+import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -33,6 +34,7 @@ from procedures.imaging.errors import (
     SeriesMixed,
 )
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.manifest import sha256_of
 from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
@@ -434,3 +436,9 @@ def _parse_scan_identity(path: Path, header: FileDataset) -> ScanIdentity:
 def read_identity(directory: Path) -> PatientIdentity:
     """Read the patient identity, as `read_scan_identity` does; `read_series` checks that all slices agree."""
     return read_scan_identity(Path(directory)).patient
+
+
+def hash_series(series: Path) -> str:
+    """Return the SHA-256 of the names and contents of the DICOM files in a folder. Raises CT-001, CT-005."""
+    listed = "".join(f"{path.name} {sha256_of(path)}\n" for path in list_dicom_files(series))
+    return hashlib.sha256(listed.encode()).hexdigest()

@@ -17,7 +17,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.fusion.record import FusedPose
-from procedures.imaging.dicom.series_hash import hash_series
+from procedures.imaging.dicom.slice_headers import hash_series
 from procedures.imaging.localizers import LOCALIZERS, Localizer
 from procedures.imaging.markers import Candidate, Marker, ScanDeformation
 from procedures.imaging.pictures import draw_candidates, draw_markers

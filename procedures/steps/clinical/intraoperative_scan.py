@@ -19,8 +19,7 @@ from procedures.engine.methods import NOT_CLINICAL
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.fusion.record import FusedPose
 from procedures.imaging.dicom.scan_moment import ScanMoment, read_moments, read_stated_date
-from procedures.imaging.dicom.series_hash import hash_series
-from procedures.imaging.dicom.slice_headers import list_dicom_files, read_scan_identity
+from procedures.imaging.dicom.slice_headers import hash_series, list_dicom_files, read_scan_identity
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.localizers import LOCALIZERS
 from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker

@@ -45,7 +45,7 @@ def test_where_no_bone_is_felt_the_step_ends_with_the_drill_off_and_the_arms_at_
     assert not any(map(is_motion, journal[off:]))
     assert not [line for line in journal if line["entry"] == Entry.CONFIRMATION and "drilled" in str(line)]
     held = [line["drill"] for line in journal if line["entry"] == Entry.HELD and line.get("drill")]
-    assert held[-1]["may_turn"] is False  # type: ignore[index,call-overload]
+    assert held[-1]["may_turn"] is False  # type: ignore[index,call-overload]  # lines of JSON
 
 
 @pytest.mark.hazard(66)
@@ -103,7 +103,7 @@ def test_after_a_breakthrough_that_was_not_accepted_no_repetition_leads_the_dril
     assert ended.returncode == EXIT_REFUSED, ended.stdout
     assert "the operator did not accept the opening at T1" in ended.stderr
     openings = [line["opening"] for line in case.journal if line.get("opening")]
-    assert [one["force_fell"] for one in openings] == [True]  # type: ignore[index,call-overload]
+    assert [one["force_fell"] for one in openings] == [True]  # type: ignore[index,call-overload]  # lines of JSON
     before = len(case.journal)
     folder = str(case.run_folder)
     again = case.commands.run("ronna-procedure", "resume", folder, "--accept", "--json", timeout_s=LIMIT_S)
