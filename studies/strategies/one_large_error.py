@@ -54,9 +54,12 @@ def _draw(covariances_mm2: Array, random: np.random.Generator) -> Array:
 
 
 def judge_cases(seed: int) -> dict[str, dict[str, float]]:
-    """Return by factor how many cases are refused, and at the targets of the others error and coverage."""
+    """Return by factor how many cases are refused, and at the targets of the others error and coverage.
+
+    A case is refused by its residual, or by the checks for moved spheres and for too large errors.
+    """
     phantom = draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS_OF_CASE)
-    counts = {factor: np.zeros(5) for factor in FACTORS}  # cases, refused, targets, covered, mm
+    counts = {factor: np.zeros(6) for factor in FACTORS}  # cases, refused, by residual, targets, covered, mm
     for place in PLACES:
         planner = plan_case("uncalibrated", phantom, place)
         prepared = Prepared.of(planner, planner.choose(planner.candidates(), FREE_SPHERES), learns=True)
@@ -66,19 +69,22 @@ def judge_cases(seed: int) -> dict[str, dict[str, float]]:
                 random = np.random.default_rng([seed, place, round(10.0 * factor)])
                 residuals_mm, at_targets_mm = draw_errors(tuple(sources), factor, random)
                 judged = registration.judge(residuals_mm)
-                passed = np.logical_not(judged.refused(REFUSING))
+                by_residual = judged.refused(REFUSING)
+                passed = np.logical_not(by_residual | judged.suspect)
                 errors_mm = np.linalg.norm(at_targets_mm + judged.shifts_mm, axis=2)[passed]
                 covered = errors_mm <= judged.limits_mm()[passed]
-                found = (RUNS, RUNS - passed.sum(), covered.size, covered.sum(), errors_mm.sum())
+                refused = (RUNS - passed.sum(), by_residual.sum())
+                found = (RUNS, *refused, covered.size, covered.sum(), errors_mm.sum())
                 counts[factor] += np.array(found, dtype=float)
     return {
         f"x{factor:g}": {
             "cases": cases,
             "refused_percent": 100.0 * refused / cases,
+            "refused_by_residual_percent": 100.0 * by_residual / cases,
             "mean_mm": total_mm / targets,
             "within_95_percent_limit": 100.0 * covered / targets,
         }
-        for factor, (cases, refused, targets, covered, total_mm) in counts.items()
+        for factor, (cases, refused, by_residual, targets, covered, total_mm) in counts.items()
     }
 
 
