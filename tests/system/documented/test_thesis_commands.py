@@ -2,8 +2,8 @@
 
 Most run in a small size: the figure then has a wide range, and a broken command or method is still found. The
 figures themselves are those of the kept results (`tests/unit/docs/test_stated_figures.py`). Of `STUDIES`,
-those in `ONLY_RUN` have no figure to compare; `CASES` are judged by the error at the target alone; tests named in
-`ELSEWHERE` judge what they say, which often is not the row.
+those in `ONLY_RUN` have no figure to compare; `CASES` are judged by the error at the target alone; tests
+named in `ELSEWHERE` judge what they say, which often is not the row.
 """
 
 from __future__ import annotations
