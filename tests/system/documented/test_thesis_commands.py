@@ -78,7 +78,7 @@ STUDIES: Mapping[str, Trial] = {
             Figure(RIGID, "min::FLE by eq. 36 / true", 0.93, 1.0),
             Figure(RIGID, "max::FLE by eq. 36 / true", 1.0, 1.07),
             Figure(RIGID, "max::one space by eq. 37, 38 / true", 0.93, 1.07),
-            Figure(RIGID, "min::TRE / eq. 39", 0.9, 1.0),
+            Figure(RIGID, "min::TRE / eq. 39", 0.9, 1.05),  # of 300 runs, all may be above 1
             Figure(RIGID, "max::TRE / eq. 39", 1.0, 1.1),
             Figure(RIGID, "min::r of FRE and TRE", -0.2, 0.1),
             Figure(RIGID, "max::r of FRE and TRE", -0.1, 0.2),
