@@ -78,7 +78,7 @@ class RegistrationStudy(Study):
             if kind == ISOTROPIC:
                 fre_mm, in_scans2 = _register_two_scans(points, of_scans)
                 between_scans_mm.append(fre_mm)
-                sums["in scans2"] += in_scans2
+                sums.update({"in scans2": in_scans2})
         pairs = np.array([residuals_mm, errors_mm])
         sums.update({"fre": pairs[0].sum(), "tre": pairs[1].sum()})
         sums.update({"fre2": np.square(pairs[0]).sum(), "fre tre": pairs.prod(axis=0).sum()})
@@ -86,7 +86,8 @@ class RegistrationStudy(Study):
             for run, (fre_mm, error_mm) in enumerate(pairs.T[:SHOWN_RUNS]):
                 sums |= {f"{PAIR}|{unit.block}|{run}|fre": fre_mm, f"{PAIR}|{unit.block}|{run}|tre": error_mm}
         if between_scans_mm:
-            sums["one_space2"] = unit.runs * fle_of_one_space_mm(between_scans_mm, int(count)) ** 2
+            estimated2 = unit.runs * fle_of_one_space_mm(between_scans_mm, int(count)) ** 2
+            return as_sums(sums) | {"one_space2": estimated2}
         return as_sums(sums)
 
 
