@@ -126,8 +126,12 @@ def _compare_fit(image: Array, exact: Array, measured: Array) -> dict[tuple[str,
     tre_mm = float(tre_principal_axes_mm(target, measured, fle_mm)[0])
     mirrored = np.linalg.det(fit_rigid(image * MIRROR, measured).rotation)
     svd = "rotation by SVD"
+    without_rotation = image + recovered.translation_mm
     return {
         ("1 to 3", "points moved by a fit to exact data", "points", "mm"): _largest(moved - exact),
+        ("3, last form as printed, without R", "points moved by the same fit", "points", "mm"): _largest(
+            without_rotation - exact
+        ),
         ("21 to 31", svd, "SciPy's align_vectors", "rad"): _angle(fit.rotation, least_squares),
         ("21 to 31", svd, "Horn's unit quaternion", "rad"): _angle(fit.rotation, _fit_quaternion(*centred)),
         ("21 to 31", "slope of the sum of squares at the fit", "0", "mm2"): _largest(torque),

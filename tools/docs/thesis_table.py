@@ -1,16 +1,18 @@
-"""Rows of the tables of `docs/reference/thesis.md`."""
+"""Rows of the tables of `docs/reference/thesis.md`: places of the thesis, and what goes beyond it."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "thesis.md"
 COLUMNS = ["thesis", "what", "here", "module", "command", "reached"]
+BEYOND = ["beside", "what", "module", "command", "reached"]  # no places of the thesis, not counted
 CODE = re.compile(r"`([^`]+)`")
 
 
-def table_rows() -> list[dict[str, str]]:
+def table_rows(columns: Sequence[str] = COLUMNS) -> list[dict[str, str]]:
     """Return every row below a header with these columns, by column."""
     rows = []
     header: list[str] = []
@@ -20,11 +22,12 @@ def table_rows() -> list[dict[str, str]]:
             header = []
         elif not header:
             header = cells
-        elif header == COLUMNS and not set("".join(cells)) <= set("-"):
-            rows.append(dict(zip(COLUMNS, cells, strict=True)))
+        elif header == list(columns) and not set("".join(cells)) <= set("-"):
+            rows.append(dict(zip(columns, cells, strict=True)))
     return rows
 
 
 def commands() -> list[str]:
     """Return every command that a row names, once."""
-    return list(dict.fromkeys(one for row in table_rows() for one in CODE.findall(row["command"])))
+    rows = table_rows() + table_rows(BEYOND)
+    return list(dict.fromkeys(one for row in rows for one in CODE.findall(row["command"])))

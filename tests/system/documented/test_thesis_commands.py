@@ -1,7 +1,9 @@
-"""Every command of the thesis' table is run, and gives about the figure that its row states.
+"""Every command of the thesis' table is run; those listed with figures give about what their rows state.
 
 Most run in a small size: the figure then has a wide range, and a broken command or method is still found. The
-figures themselves are those of the kept results (`tests/unit/docs/test_stated_figures.py`).
+figures themselves are those of the kept results (`tests/unit/docs/test_stated_figures.py`). Of `STUDIES`,
+those in `ONLY_RUN` have no figure to compare; `CASES` are judged by the error at the target alone; tests
+named in `ELSEWHERE` judge what they say, which often is not the row.
 """
 
 from __future__ import annotations
@@ -69,20 +71,20 @@ def case(*options: str, largest_mm: float = OCS_MM) -> Trial:
 
 
 STUDIES: Mapping[str, Trial] = {
-    "ronna-campaign registration": Trial(
+    "ronna-campaign registration --runs 6000 --seed 76": Trial(
         ("--runs", "300", *SMALL),
         ("fre-and-tre.png",),
         (
             Figure(RIGID, "min::FLE by eq. 36 / true", 0.93, 1.0),
             Figure(RIGID, "max::FLE by eq. 36 / true", 1.0, 1.07),
             Figure(RIGID, "max::one space by eq. 37, 38 / true", 0.93, 1.07),
-            Figure(RIGID, "min::TRE / eq. 39", 0.9, 1.0),
+            Figure(RIGID, "min::TRE / eq. 39", 0.9, 1.05),  # of 300 runs, all may be above 1
             Figure(RIGID, "max::TRE / eq. 39", 1.0, 1.1),
             Figure(RIGID, "min::r of FRE and TRE", -0.2, 0.1),
             Figure(RIGID, "max::r of FRE and TRE", -0.1, 0.2),
         ),
     ),
-    "ronna-campaign error-parts": Trial(
+    "ronna-campaign error-parts --arms 100 --seed 76": Trial(
         ("--arms", "6", *SMALL),
         ("fre-and-error.png", "error-and-distance.png"),
         (
@@ -103,7 +105,12 @@ STUDIES: Mapping[str, Trial] = {
         (),
         (),
         (
-            Figure(EQUATIONS, "max:unit=mm:largest difference", 0.0, 1e-9),
+            Figure(EQUATIONS, "row:equation=1 to 3:largest difference", 0.0, 1e-9),
+            Figure(EQUATIONS, "row:equation=35:largest difference", 0.0, 1e-9),
+            Figure(EQUATIONS, "row:equation=39:largest difference", 0.0, 1e-9),
+            Figure(
+                EQUATIONS, "row:equation=3, last form as printed, without R:largest difference", 175.0, 177.0
+            ),
             Figure(EQUATIONS, "row:equation=15:largest difference", 0.0, 1e-12),
             Figure(EQUATIONS, "row:equation=16:largest difference", 0.0, 1e-12),
             Figure(EQUATIONS, "row:equation=17 and 18:largest difference", 0.0, 1e-12),
@@ -142,7 +149,7 @@ STUDIES: Mapping[str, Trial] = {
     "ronna-campaign correspondence --sweep --method thesis-validated --runs 100 --seed 47": Trial(
         ("--runs", "1", *SMALL), ("figure-13-norm.png", "figure-13-per-axis.png"), is_slow=True
     ),
-    "ronna-campaign correspondence --xframe": Trial(("--runs", "30", *SMALL), is_slow=True),
+    "ronna-campaign correspondence --xframe --seed 47": Trial(("--runs", "30", *SMALL), is_slow=True),
     "ronna-campaign localization --thesis": Trial(
         SMALL,
         (),
@@ -170,6 +177,11 @@ STUDIES: Mapping[str, Trial] = {
         (),
         (Figure(SHOWN, "head.robot_from_patient_frame.translation_mm.0", 0.0, 2000.0),),
     ),
+}
+ONLY_RUN = {
+    "ronna-campaign figures",
+    "ronna-campaign correspondence --sweep --method thesis-validated --runs 100 --seed 47",
+    "ronna-campaign correspondence --xframe --seed 47",
 }
 CASES: Mapping[str, Trial] = {
     "ronna-procedure run --sim --seed 7": Trial(
@@ -232,18 +244,27 @@ ELSEWHERE: Mapping[str, str] = {
     "test_mount_calibrations.py::test_the_page_about_the_reference_frame_works",
     "ronna-procedure run --sim --scene mini --fiducials xframe": "tests/system/case/test_frame_cases.py::"
     "test_a_case_with_the_x_shaped_frame_reaches_its_target",
-    "ronna-campaign application-error": "tests/unit/studies/test_accuracy.py::"
+    "ronna-campaign application-error --arms 200 --seed 595993": "tests/unit/studies/test_accuracy.py::"
     "test_published_ronna_g3_errors_are_shown_next_to_their_own_markers_and_strategy",
     "ronna-campaign strategies": "tests/unit/studies/test_accuracy.py::"
     "test_the_study_shows_its_results_next_to_table_4_of_the_thesis",
     "ronna-campaign strategies --one-experiment": "tests/unit/studies/test_one_experiment.py::"
     "test_an_arm_fitted_to_table_4_shows_its_means_in_the_full_simulation",
+    "ronna-campaign strategies --learning --arms 12 --seed 42986": "tests/unit/studies/"
+    "test_learning_study.py::test_learning_is_nearer_with_no_more_looks_than_ocs_whatever_the_size_of_the_errors",
     "make bench": "tests/unit/benchmarks/test_bench.py::"
     "test_one_measurement_prints_a_table_and_writes_its_figures",
     "ronna-plan open DIR": "tests/system/commands/test_plan_command.py::"
     "test_a_planner_whose_port_is_in_use_reports_it_and_leaves_the_plan_unchanged",
-    "ronna-campaign low-cost": "tests/system/commands/test_campaign_command.py::"
+    "ronna-campaign low-cost --seed 0 --targets 30": "tests/system/commands/test_campaign_command.py::"
     "test_a_low_cost_theatre_positions_its_tool_on_feedback",
+}
+WARM_ARM = "ronna-procedure run --sim --scene FILE"  # errors that are off by default
+WARM_VALUES = {
+    "thermal_drift_mm": 0.05,
+    "thermal_growth": 6.0e-5,
+    "thermal_time_s": 30.0,
+    "encoder_step_rad": 2.0e-5,
 }
 ADHESIVE = ("ronna-sim phantom --fiducials adhesive --out DIR", "ronna-ct adhesive DIR")
 SERIES = "ronna-campaign localization --series DIR"
@@ -256,12 +277,16 @@ INSERTED = (
 
 
 def test_every_command_of_the_table_is_run_here_or_by_a_test_that_exists() -> None:
-    run = {*STUDIES, *CASES, *OF_A_RUN, *ADHESIVE, SERIES, *ELSEWHERE}
+    run = {*STUDIES, *CASES, *OF_A_RUN, *ADHESIVE, SERIES, WARM_ARM, *ELSEWHERE}
     assert [one for one in commands_of_the_table() if one not in run] == []
     assert [one for one in run if one not in commands_of_the_table()] == []
     for place in ELSEWHERE.values():
         path, name = place.split("::")
         assert re.search(rf"^def {name}\(", (ROOT / path).read_text(encoding="utf-8"), re.MULTILINE), place
+
+
+def test_each_study_has_figures_to_compare_but_those_that_are_only_run() -> None:
+    assert {name for name, trial in STUDIES.items() if not trial.figures} == ONLY_RUN
 
 
 @pytest.mark.parametrize("command", [name for name, trial in STUDIES.items() if not trial.is_slow])
@@ -326,6 +351,24 @@ def test_a_command_about_a_run_prints_what_its_row_says(
     done = in_this_process(import_module(COMMANDS[program]).app, *named, *out)
     assert done.returncode == 0, done.stderr
     assert re.search(OF_A_RUN[command], done.stdout + done.stderr)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(HANGS_S)
+def test_an_arm_with_encoder_steps_that_grows_warm_reaches_the_target(
+    commands: Commands, tmp_path: Path
+) -> None:
+    app = import_module(COMMANDS["ronna-sim"]).app
+    scene = in_this_process(app, "scene", "--scene", "mini", "--seed", "1", "--markers", "5").stdout
+    for key, value in WARM_VALUES.items():
+        scene, times = re.subn(rf"^{key} = .*$", f"{key} = {value}", scene, flags=re.MULTILINE)
+        assert times == 1, key
+    (tmp_path / "scene.toml").write_text(scene, encoding="utf-8")
+    program, *words = WARM_ARM.replace("FILE", str(tmp_path / "scene.toml")).split()
+    done = commands.run(program, *words, "--json", "--out", str(tmp_path / "runs"), timeout_s=HANGS_S)
+    shown = json.loads(done.stdout)
+    assert shown["outcome"] in ("done", "in doubt")  # warmed between two looks at its guide
+    assert shown["max_application_error_mm"] <= OCS_MM
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import typer
 from documented import run_exercises
-from thesis_table import CODE, PAGE, table_rows
+from thesis_table import BEYOND, CODE, PAGE, table_rows
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE
@@ -25,9 +25,13 @@ STATES = ("yes", "in part", "no")
 
 
 ROWS = table_rows()
+NOT_COUNTED = [{"thesis": row["beside"], "here": "yes", **row} for row in table_rows(BEYOND)]
+NO_EQUATION = 34  # missing in the numbering of the thesis
 
 
-@pytest.fixture(params=ROWS, ids=[f"{row['thesis']}: {row['what'][:40]}" for row in ROWS])
+@pytest.fixture(
+    params=ROWS + NOT_COUNTED, ids=[f"{row['thesis']}: {row['what'][:40]}" for row in ROWS + NOT_COUNTED]
+)
 def row(request: pytest.FixtureRequest) -> dict[str, str]:
     found: dict[str, str] = request.param
     return found
@@ -35,13 +39,18 @@ def row(request: pytest.FixtureRequest) -> dict[str, str]:
 
 def test_the_table_is_there_with_sections_equations_tables_and_figures() -> None:
     places = " ".join(row["thesis"] for row in ROWS)
-    assert len(ROWS) >= 100
     for place in ("1.4", "5.1", "5.3.1", "5.3.2", "5.4", "eq. 35", "eq. 36", "table 2", "table 3", "table 4"):
         assert place in places
     for figure in range(1, 17):
         assert re.search(rf"figures? [\d, ]*(and )?\b{figure}\b", places), figure
-    for equation in range(1, 44):
+    for equation in set(range(1, 44)) - {NO_EQUATION}:
         assert equation in _numbers_after("eq.", places), equation
+
+
+def test_the_page_begins_with_the_number_of_rows_of_each_state() -> None:
+    yes, in_part, no = (sum(row["here"] == state for row in ROWS) for state in STATES)
+    stated = f"**{yes} yes, {in_part} in part, {no} no**"
+    assert stated in PAGE.read_text(encoding="utf-8").partition("\n## ")[0], stated
 
 
 def _numbers_after(word: str, places: str) -> set[int]:
