@@ -130,13 +130,17 @@ def test_a_notebook_shows_both_endings_and_the_errors_with_their_units(pair: tup
     assert "B: 20261121T000000-s4-beef" in shown
 
 
-@pytest.mark.parametrize("name", ["comparison.pdf", "comparison"])
 def test_a_page_that_is_not_html_is_refused_with_how_to_print(
-    pair: tuple[Path, Path], tmp_path: Path, name: str
+    pair: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    refused = in_this_process(app, "compare", *pair, "--out", tmp_path / name)
+    refused = in_this_process(app, "compare", *pair, "--out", tmp_path / "comparison.pdf")
     assert "print it on A4, or to a PDF" in one_error(refused.stderr)[0]
-    assert not (tmp_path / name).exists()
+    assert not (tmp_path / "comparison.pdf").exists()
+
+
+def test_a_name_without_a_suffix_is_a_folder_for_the_page(pair: tuple[Path, Path], tmp_path: Path) -> None:
+    in_this_process(app, "compare", *pair, "--out", tmp_path / "both")
+    assert [one.suffix for one in (tmp_path / "both").iterdir()] == [".html"]
 
 
 def test_a_folder_that_is_no_run_is_refused_from_python_too(pair: tuple[Path, Path], tmp_path: Path) -> None:
