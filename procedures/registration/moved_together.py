@@ -30,7 +30,7 @@ LEAST_FACTOR = 100.0
 
 @dataclass(frozen=True, eq=False)
 class DisplacedPairs:
-    """What residuals of `a` arms say of a displacement that the two spheres of each of `p` pairs share."""
+    """Evidence, by residuals of `a` arms, that the two spheres of each of `p` pairs moved alike."""
 
     displaced: Displacements
 

@@ -11,12 +11,12 @@ from clinical_case import CENTRES_CT_MM, FIRST, LAST, ROBOT_FROM_CT, SPHERES_MM,
 from coded_errors import raises
 from numpy.typing import ArrayLike
 from prepared_results import (
-    ARRIVING,
     checked_paths,
     checked_plan,
     checked_tool,
     coarse,
     localized_fiducials,
+    looks_with_tool_error,
     mounted_guide,
     relocalization,
 )
@@ -158,21 +158,8 @@ def test_the_guide_turns_with_the_head_except_about_its_axis_and_that_is_in_the_
 def test_the_correction_that_a_learned_arm_is_given_turns_with_the_head(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path, strategy=find_strategy("learning")).carrying(MountedTool.STEREO_HEAD)
     paths = checked_paths(cell)
-    localizations = {
-        axis: tuple(one.model_copy(update={"approach_signs": ARRIVING}) for one in looks)
-        for axis, looks in paths.localizations.items()
-    }
-    looks = [(axis, one) for axis, some in localizations.items() for one in some]
-    tools = [one.tool_pose.transform.rotation_matrix @ TOOL_ERROR_MM for _, one in looks]
-    spheres_mm = SPHERES_MM[[one.fiducial for _, one in looks]]
-    measured = relocalization(spheres_mm - tools).model_copy(
-        update={
-            "fiducials": tuple(one.fiducial for _, one in looks),
-            "axes": tuple(axis for axis, _ in looks),
-        }
-    )
+    checked, measured = looks_with_tool_error(paths, TOOL_ERROR_MM)
     before = (*coarse(), checked_plan(), localized_fiducials(), measured)
-    checked = paths.model_copy(update={"localizations": localizations})
     after = (mounted_guide(), checked_tool(), positioning.STEP)
     engine = cell.begin(*before, checked, registration.STEP, *after)
     engine.run_to(engine.order.find("tool_check"))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from clinical_case import (
     CENTRES_CT_MM,
+    FIRST,
     HOME_RAD,
     ROBOT_FROM_CT,
     SCENE,
@@ -39,7 +40,13 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose, TargetPose
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import LinkHealth, Prediction, RegisteredRobot, Relocalization
+from procedures.steps.clinical.results import (
+    LearnedArm,
+    LinkHealth,
+    Prediction,
+    RegisteredRobot,
+    Relocalization,
+)
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity, DriverSettings
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
@@ -291,6 +298,37 @@ def relocalization(points_mm: Array = SPHERES_MM) -> Relocalization:
         joints_rad=(HOME_RAD,) * count,
         coarse_offset_mm=(0.0, 0.0, 0.0),
     )
+
+
+def learned_arm(correction_mm: tuple[float, float, float]) -> LearnedArm:
+    """Return an arm as stated, with this correction for the first target."""
+    return LearnedArm(
+        looks=5,
+        share=1.0,
+        scatter_mm=0.0,
+        fiducials=(),
+        spheres_robot_mm=(),
+        corrections_mm={FIRST: correction_mm},
+    )
+
+
+def looks_with_tool_error(
+    paths: CheckedPaths, tool_error_mm: Array, spheres_mm: Array = SPHERES_MM
+) -> tuple[CheckedPaths, Relocalization]:
+    """Return paths, and what their looks at spheres measure with a tool that is off its record."""
+    localizations = {
+        axis: tuple(one.model_copy(update={"approach_signs": ARRIVING}) for one in looks)
+        for axis, looks in paths.localizations.items()
+    }
+    looks = [(axis, one) for axis, some in localizations.items() for one in some]
+    tools = [one.tool_pose.transform.rotation_matrix @ tool_error_mm for _, one in looks]
+    measured = relocalization(spheres_mm[[one.fiducial for _, one in looks]] - tools).model_copy(
+        update={
+            "fiducials": tuple(one.fiducial for _, one in looks),
+            "axes": tuple(axis for axis, _ in looks),
+        }
+    )
+    return paths.model_copy(update={"localizations": localizations}), measured
 
 
 def registered_robot(robot_from_ct: Transform = ROBOT_FROM_CT) -> RegisteredRobot:

@@ -62,7 +62,7 @@ def finished_again(run: Path) -> None:
 
 
 def resumed_and_killed_as_it_began(run: Path) -> InterruptedRun:
-    """What a `resume` leaves that was killed before its first line in the journal."""
+    """Leave a run as a `resume` does that was killed before its first line in the journal."""
     left = read_interrupted_run(run, only_leaving=True)
     prepare_folder(left)
     with (run / "log.jsonl").open("a") as log:

@@ -18,6 +18,7 @@ from coded_errors import raises
 from finished_runs import recorded_run
 from prepared_results import (
     SERIES,
+    learned_arm,
     registered_robot,
 )
 from pydicom import dcmread
@@ -32,7 +33,7 @@ from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
 from procedures.reporting.outcome import Truth
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.results import LearnedArm, RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw import load_run
 from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.manifest import RAW_FOLDER, seal
@@ -299,15 +300,7 @@ def test_the_head_as_registered_has_one_pose_in_every_file_and_the_learned_corre
     tmp_path: Path,
 ) -> None:
     done, correction_mm = fit(FIRST, 1.0), (1.0, 3.0, -2.0)
-    learned = LearnedArm(
-        looks=5,
-        share=1.0,
-        scatter_mm=0.0,
-        fiducials=(),
-        spheres_robot_mm=(),
-        corrections_mm={FIRST: correction_mm},
-    )
-    done = done.model_copy(update={"learned": learned})
+    done = done.model_copy(update={"learned": learned_arm(correction_mm)})
     out, key = tmp_path / "export", StepKey("registration", FIRST)
     run = recorded_run(tmp_path / "run", *IN_CT, (StepKey("plan_check"), PLAN), (key, done))
     export_run(run, out)

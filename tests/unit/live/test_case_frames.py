@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clinical_case import FIRST, ROBOT_FROM_CT, ClinicalCell
-from prepared_results import before_positioning, checked_plan, registered_robot
+from prepared_results import before_positioning, checked_plan, learned_arm, registered_robot
 
 from procedures.engine.engine import Engine
 from procedures.live.case_frames import CaseFrames
 from procedures.live.records import FramePose
 from procedures.reporting.case_figures import read_case_figures
-from procedures.steps.clinical.results import LearnedArm, RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 
@@ -22,15 +22,7 @@ TARGET_CT_MM = checked_plan().plan.trajectory(FIRST).target_mm
 
 
 def learned_robot() -> RegisteredRobot:
-    learned = LearnedArm(
-        looks=5,
-        share=1.0,
-        scatter_mm=0.0,
-        fiducials=(),
-        spheres_robot_mm=(),
-        corrections_mm={FIRST: CORRECTION_MM},
-    )
-    return registered_robot().model_copy(update={"learned": learned})
+    return registered_robot().model_copy(update={"learned": learned_arm(CORRECTION_MM)})
 
 
 def shown_target_mm(frames: CaseFrames) -> Array:

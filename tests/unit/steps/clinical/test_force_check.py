@@ -132,5 +132,5 @@ def test_an_assistant_that_cannot_hold_its_clamp_upright_is_told() -> None:
 
 
 def test_a_scale_that_is_wrong_by_more_than_an_eighth_does_not_pass() -> None:
-    """Where the sensor itself errs by as much as one may that drills."""
+    """A sensor that itself errs by as much as one may that drills."""
     assert (WRONG_BY_N + FREE_N) / (LEAST_UPRIGHT * WEIGHT_N) < 0.125

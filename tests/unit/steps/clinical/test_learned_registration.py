@@ -9,12 +9,11 @@ import pytest
 from clinical_case import FIRST, SPHERES_MM, ClinicalCell
 from coded_errors import raises
 from prepared_results import (
-    ARRIVING,
     checked_paths,
     checked_plan,
     coarse,
     localized_fiducials,
-    relocalization,
+    looks_with_tool_error,
 )
 from watched_case import findings
 
@@ -46,19 +45,7 @@ def cell(tmp_path: Path) -> ClinicalCell:
 def learned(cell: ClinicalCell, spheres_mm: Array = SPHERES_MM, **plan_changes: object) -> RegisteredRobot:
     """Register by the looks of an arm whose tool is a little off its record."""
     paths = checked_paths(cell)
-    localizations = {
-        axis: tuple(one.model_copy(update={"approach_signs": ARRIVING}) for one in looks)
-        for axis, looks in paths.localizations.items()
-    }
-    looks = [(axis, one) for axis, some in localizations.items() for one in some]
-    tools = [one.tool_pose.transform.rotation_matrix @ TOOL_ERROR_MM for _, one in looks]
-    measured = relocalization(spheres_mm[[one.fiducial for _, one in looks]] - tools).model_copy(
-        update={
-            "fiducials": tuple(one.fiducial for _, one in looks),
-            "axes": tuple(axis for axis, _ in looks),
-        }
-    )
-    checked = paths.model_copy(update={"localizations": localizations})
+    checked, measured = looks_with_tool_error(paths, TOOL_ERROR_MM, spheres_mm)
     before = (*coarse(), checked_plan(**plan_changes), localized_fiducials(), measured)
     cell.run(*before, checked, STEP)
     return cell.case.get(RegisteredRobot).result
