@@ -19,6 +19,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
+from benchmarks.measurements import require_measurements
 from ronna_hw.command_line.terminal import run
 
 HISTORY = Path(__file__).parent / "results" / "history.jsonl"
@@ -126,8 +127,6 @@ def show(
     file: Annotated[Path, typer.Option(help="File of the results.")] = HISTORY,
 ) -> None:
     """Print every figure's values by date, and mark losses of 10 % and more."""
-    from benchmarks.run import require_measurements
-
     require_measurements(only or [])
     history = {key: points for key, points in read_history(file).items() if not only or key.group in only}
     if not history:

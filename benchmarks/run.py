@@ -16,7 +16,6 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import metadata
@@ -32,6 +31,7 @@ if str(ROOT) not in sys.path:
 from benchmarks import history  # noqa: E402
 from benchmarks.figures import Figure  # noqa: E402
 from benchmarks.isolation import end_with_runner, run_alone  # noqa: E402
+from benchmarks.measurements import MEASUREMENTS, require_measurements  # noqa: E402
 from ronna_hw.command_line.terminal import message_console, on_terminal, run  # noqa: E402
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED  # noqa: E402
 from ronna_hw.host.processor import name_processor  # noqa: E402
@@ -43,38 +43,12 @@ LONGER_LIMITS_S = {
     "stereo-rate": 900.0,  # 12,000 pairs at up to 50 per second
     "recording": 900.0,  # four cases in real time
 }
-MEASUREMENTS = {
-    "robot-link": "robot.robot_link",
-    "ur-link": "robot.ur_link",
-    "set-points": "robot.set_points",
-    "tracker": "tracker",
-    "stereo": "stereo_head.stereo",
-    "stereo-calibration": "stereo_head.stereo_calibration",
-    "stereo-rate": "stereo_head.stereo_rate",
-    "tracker-frame": "mount.tracker_frame_calibration",
-    "tool-tip": "mount.tool_tip_calibration",
-    "ct": "scans.ct",
-    "dicom": "dicom_reception",
-    "registration": "registration",
-    "mini-case": "mini_case",
-    "recording": "recording",
-    "openigtlink": "openigtlink",
-    "console": "pages.console_page",
-    "planner": "pages.planner_page",
-}
 PEERS = (
     "ndicapi", "scikit-surgerynditracker", "RSIPI", "ur-rtde", "opencv-contrib-python-headless", "scipy",
     "numpy", "pydicom", "pynetdicom", "ruckig", "nicegui",
 )  # fmt: skip
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
-
-def require_measurements(names: Sequence[str]) -> None:
-    if unknown := [name for name in names if name not in MEASUREMENTS]:
-        raise typer.BadParameter(
-            f"unknown measurement {', '.join(unknown)}; expected one of {', '.join(MEASUREMENTS)}"
-        )
 
 
 @app.command()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from smallest_benchmark import run_smallest
 
-from benchmarks.run import MEASUREMENTS
+from benchmarks.measurements import MEASUREMENTS
 
 PAGES = ("console", "planner")  # with the tests that have a browser
 
