@@ -40,7 +40,8 @@ LEAST_FAR_MM = NEAR_MM / 2.0  # of spheres that are no longer near their places
 
 FAR_READINGS = 3  # in a row that show spheres, but too few of them in place
 # Spheres in place that show an unmoved head while the others are hidden; further points are glints and
-# ghosts, of which one may form the distances of three spheres together with these two.
+# ghosts, of which one may form the distances of three spheres together with these two, or be beside the place
+# of a third. With fewer, what may be a ghost counts as a sphere.
 ENOUGH_IN_PLACE = 2
 
 
@@ -82,7 +83,7 @@ class HeadFrames:
             self._far = 0
             self._displacements.append(displacements)
             self.doubtful = math.hypot(*displacements[near].mean(axis=0)) > DOUBT_MM
-            self.moved_mm = self._mean_mm()
+            self.moved_mm = self._mean_mm(ghosts)
             self._open = self._open + 1 if self.moved_mm is None else 0
             self.seen = self._open <= SPAN
         else:
@@ -92,11 +93,12 @@ class HeadFrames:
             moved = measure_shift(self.spheres_mm, places) if self._far == FAR_READINGS else None
             self.moved_mm = moved.rms_mm if moved is not None and moved.rms_mm >= LEAST_FAR_MM else None
 
-    def _mean_mm(self) -> float | None:
+    def _mean_mm(self, ghosts: GhostFinder) -> float | None:
         """Return the rms displacement of spheres with enough readings, or None if there are too few.
 
         A head moves as a whole, so the sphere that moved most is left out if three others remain: a hidden
-        sphere of the x-shaped frame is reported 1 mm off, and a glint beside a hidden one passes for it.
+        sphere of the x-shaped frame is reported 1 mm off, and a glint beside a hidden one passes for it. One
+        that may be a ghost is left out if two others remain.
         """
         displacements = np.array(self._displacements)
         is_seen = np.isfinite(displacements[:, :, 0])
@@ -105,6 +107,11 @@ class HeadFrames:
         if enough.sum() < LEAST_POINTS:
             return None
         means = np.where(latest[:, :, None], displacements, 0.0).sum(axis=0)[enough] / AVERAGED
+        away = np.sqrt((means * means).sum(axis=1)) >= PATIENT_LIMIT_MM
+        if away.any():
+            away[away] = ghosts(self.spheres_mm, (self.spheres_mm[enough] + means)[away])
+            if (~away).sum() >= ENOUGH_IN_PLACE:
+                means = means[~away]
         squares = np.sort((means * means).sum(axis=1))[: max(LEAST_POINTS, len(means) - 1)]
         return math.sqrt(float(squares.mean()))
 
