@@ -65,6 +65,7 @@ class HeadFrames:
     _far: int = 0
     _open: int = 0  # undecided frames in a row that showed enough spheres
     _displacements: deque[Array] = field(default_factory=lambda: deque(maxlen=SPAN))
+    _uncertain: deque[Flags] = field(default_factory=lambda: deque(maxlen=SPAN))  # each may be of a ghost
 
     def add_frame(self, frame: TrackerFrame, ghosts: GhostFinder = no_ghosts) -> None:
         """Add a tracker frame, of which `ghosts` flags points that are no spheres."""
@@ -73,17 +74,18 @@ class HeadFrames:
     def add_places(self, places: Sequence[Sequence[float]], ghosts: GhostFinder = no_ghosts) -> None:
         """Add the points that one frame shows, tracker frame."""
         displacements = _displacements(self.spheres_mm, places)
-        away = np.sqrt((displacements**2).sum(axis=1)) > LINE_MM
-        if away.any():  # beside a hidden sphere, a ghost would pass for it
-            away[away] = ghosts(self.spheres_mm, (self.spheres_mm + displacements)[away])
-            displacements[away] = np.nan
+        near = np.isfinite(displacements[:, 0])
+        uncertain = near.copy()  # beside a hidden sphere, a ghost would pass for it
+        uncertain[near] = ghosts(self.spheres_mm, (self.spheres_mm + displacements)[near])
+        displacements[uncertain & (np.sqrt((displacements**2).sum(axis=1)) > LINE_MM)] = np.nan
         near = np.isfinite(displacements[:, 0])
         self.seen = bool(near.sum() >= LEAST_POINTS)
         if self.seen:
             self._far = 0
             self._displacements.append(displacements)
+            self._uncertain.append(uncertain)
             self.doubtful = math.hypot(*displacements[near].mean(axis=0)) > DOUBT_MM
-            self.moved_mm = self._mean_mm(ghosts)
+            self.moved_mm = self._mean_mm()
             self._open = self._open + 1 if self.moved_mm is None else 0
             self.seen = self._open <= SPAN
         else:
@@ -93,7 +95,7 @@ class HeadFrames:
             moved = measure_shift(self.spheres_mm, places) if self._far == FAR_READINGS else None
             self.moved_mm = moved.rms_mm if moved is not None and moved.rms_mm >= LEAST_FAR_MM else None
 
-    def _mean_mm(self, ghosts: GhostFinder) -> float | None:
+    def _mean_mm(self) -> float | None:
         """Return the rms displacement of spheres with enough readings, or None if there are too few.
 
         A head moves as a whole, so the sphere that moved most is left out if three others remain: a hidden
@@ -107,11 +109,9 @@ class HeadFrames:
         if enough.sum() < LEAST_POINTS:
             return None
         means = np.where(latest[:, :, None], displacements, 0.0).sum(axis=0)[enough] / AVERAGED
-        away = np.sqrt((means * means).sum(axis=1)) >= PATIENT_LIMIT_MM
-        if away.any():
-            away[away] = ghosts(self.spheres_mm, (self.spheres_mm[enough] + means)[away])
-            if (~away).sum() >= ENOUGH_IN_PLACE:
-                means = means[~away]
+        certain = ~(latest & np.array(self._uncertain)).any(axis=0)[enough]
+        if certain.sum() >= ENOUGH_IN_PLACE:
+            means = means[certain]
         squares = np.sort((means * means).sum(axis=1))[: max(LEAST_POINTS, len(means) - 1)]
         return math.sqrt(float(squares.mean()))
 

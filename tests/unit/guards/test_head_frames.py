@@ -130,5 +130,7 @@ def test_a_ghost_close_to_the_place_of_one_of_three_spheres_leaves_the_other_two
                 showing(shown),
                 lambda spheres, points, other=other_mm: find_ghosts(spheres, other[None], points),
             )
+        # The arm has moved: the sphere is in view again, and no line crosses there.
+        head.add_frame(showing(np.add(WITH_ARMS_MM, (shift_mm, 0.0, 0.0))[:3]))
         found[shift_mm] = head.moved_mm
     assert found == {0.0: pytest.approx(0.0), 0.5: pytest.approx(0.5)}
