@@ -40,7 +40,8 @@ LEAST_FAR_MM = NEAR_MM / 2.0  # of spheres that are no longer near their places
 
 FAR_READINGS = 3  # in a row that show spheres, but too few of them in place
 # Spheres in place that show an unmoved head while the others are hidden; further points are glints and
-# ghosts, of which one may form the distances of three spheres together with these two.
+# ghosts, of which one may form the distances of three spheres together with these two, or be beside the place
+# of a third. With fewer, what may be a ghost counts as a sphere.
 ENOUGH_IN_PLACE = 2
 
 
@@ -64,6 +65,7 @@ class HeadFrames:
     _far: int = 0
     _open: int = 0  # undecided frames in a row that showed enough spheres
     _displacements: deque[Array] = field(default_factory=lambda: deque(maxlen=SPAN))
+    _uncertain: deque[Flags] = field(default_factory=lambda: deque(maxlen=SPAN))  # each may be of a ghost
 
     def add_frame(self, frame: TrackerFrame, ghosts: GhostFinder = no_ghosts) -> None:
         """Add a tracker frame, of which `ghosts` flags points that are no spheres."""
@@ -72,15 +74,16 @@ class HeadFrames:
     def add_places(self, places: Sequence[Sequence[float]], ghosts: GhostFinder = no_ghosts) -> None:
         """Add the points that one frame shows, tracker frame."""
         displacements = _displacements(self.spheres_mm, places)
-        away = np.sqrt((displacements**2).sum(axis=1)) > LINE_MM
-        if away.any():  # beside a hidden sphere, a ghost would pass for it
-            away[away] = ghosts(self.spheres_mm, (self.spheres_mm + displacements)[away])
-            displacements[away] = np.nan
+        near = np.isfinite(displacements[:, 0])
+        uncertain = near.copy()  # beside a hidden sphere, a ghost would pass for it
+        uncertain[near] = ghosts(self.spheres_mm, (self.spheres_mm + displacements)[near])
+        displacements[uncertain & (np.sqrt((displacements**2).sum(axis=1)) > LINE_MM)] = np.nan
         near = np.isfinite(displacements[:, 0])
         self.seen = bool(near.sum() >= LEAST_POINTS)
         if self.seen:
             self._far = 0
             self._displacements.append(displacements)
+            self._uncertain.append(uncertain)
             self.doubtful = math.hypot(*displacements[near].mean(axis=0)) > DOUBT_MM
             self.moved_mm = self._mean_mm()
             self._open = self._open + 1 if self.moved_mm is None else 0
@@ -96,7 +99,8 @@ class HeadFrames:
         """Return the rms displacement of spheres with enough readings, or None if there are too few.
 
         A head moves as a whole, so the sphere that moved most is left out if three others remain: a hidden
-        sphere of the x-shaped frame is reported 1 mm off, and a glint beside a hidden one passes for it.
+        sphere of the x-shaped frame is reported 1 mm off, and a glint beside a hidden one passes for it. One
+        that may be a ghost is left out if two others remain.
         """
         displacements = np.array(self._displacements)
         is_seen = np.isfinite(displacements[:, :, 0])
@@ -105,6 +109,9 @@ class HeadFrames:
         if enough.sum() < LEAST_POINTS:
             return None
         means = np.where(latest[:, :, None], displacements, 0.0).sum(axis=0)[enough] / AVERAGED
+        certain = ~(latest & np.array(self._uncertain)).any(axis=0)[enough]
+        if certain.sum() >= ENOUGH_IN_PLACE:
+            means = means[certain]
         squares = np.sort((means * means).sum(axis=1))[: max(LEAST_POINTS, len(means) - 1)]
         return math.sqrt(float(squares.mean()))
 

@@ -129,14 +129,20 @@ class RoomReading:
         )
 
     def sighting(
-        self, spheres_mm: Array, sensors_mm: ArrayLike = SENSORS_MM, *, tracker: int = 0, head: int = 0
+        self,
+        spheres_mm: Array,
+        sensors_mm: ArrayLike = SENSORS_MM,
+        *,
+        tracker: int = 0,
+        head: int = 0,
+        certain: bool = False,
     ) -> Sighting:
         """Return the sighting that this is, with the spheres (n, 3) of the head identified.
 
         `sensors_mm` (2, 3) are the tracker's own, in its frame. `tracker` and `head` count the pushes and
-        moves that were followed before.
+        moves that were followed before. If `certain`, no point that may be a ghost counts as a sphere.
         """
-        pairs = self._identify(spheres_mm, sensors_mm)
+        pairs = self._identify(spheres_mm, sensors_mm, 0.0 if certain else LINE_MM)
         seen = SeenSpheres(
             tuple(number for number, _ in pairs),
             np.array([group.mean_mm for _, group in pairs]).reshape(-1, 3),
@@ -147,10 +153,13 @@ class RoomReading:
         )
         return Sighting(self.rests, seen, self.frames, tracker, head)
 
-    def _identify(self, spheres_mm: Array, sensors_mm: ArrayLike) -> list[tuple[int, StrayGroup]]:
+    def _identify(
+        self, spheres_mm: Array, sensors_mm: ArrayLike, in_place_mm: float
+    ) -> list[tuple[int, StrayGroup]]:
         """Pair known spheres with strays: by their layout, or each with the one at its place.
 
-        A ghost beside the place of a hidden sphere is not that sphere.
+        What may be a ghost beside the place of a hidden sphere is not that sphere, unless it is within
+        `in_place_mm` of that place: there, a sphere is more likely.
         """
         seen_mm = self.spheres_mm
         pairs = identify_points(spheres_mm, seen_mm)
@@ -165,7 +174,7 @@ class RoomReading:
         return [
             (row, self.groups[column])
             for row, column in pairs
-            if not ghosts[column] or math.dist(seen_mm[column], spheres_mm[row]) < LINE_MM
+            if not ghosts[column] or math.dist(seen_mm[column], spheres_mm[row]) < in_place_mm
         ]
 
 

@@ -13,6 +13,7 @@ from scipy.special import chdtri
 from procedures.engine.setting import CaseMemory
 from procedures.guards import room_motion
 from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientUnseen, RoomMoved, RoomUndecided
+from procedures.guards.head_frames import ENOUGH_IN_PLACE
 from procedures.guards.head_sight import HeadSight
 from procedures.guards.room_reading import (
     AS_KNOWN,
@@ -278,8 +279,22 @@ class RoomWatch:
         )
 
     def judge(self, reading: RoomReading) -> JudgedReading:
-        """Hold a reading against all looks before; it is not counted."""
-        look = self.look_of(reading)
+        """Hold a reading against all looks before; it is not counted.
+
+        Beside the place of a hidden sphere a ghost passes for that sphere. A motion that the look does not
+        show without the points that may be ghosts is none, and the look is then without them. It takes
+        `ENOUGH_IN_PLACE` other spheres to tell.
+        """
+        judged = self._judge(reading, self.look_of(reading))
+        if judged.motion is None:
+            return judged
+        certain = self.look_of(reading, certain=True)
+        if not ENOUGH_IN_PLACE <= len(certain.spheres.numbers) < len(judged.look.spheres.numbers):
+            return judged
+        without = self._judge(reading, certain)
+        return judged if without.motion is not None else without
+
+    def _judge(self, reading: RoomReading, look: Sighting) -> JudgedReading:
         judged = JudgedReading(reading, look, self._rows(look))
         if not len(judged.rows.residual):
             return judged
@@ -373,10 +388,10 @@ class RoomWatch:
         unpushed = judged.reading.moved_by(push.inverse(), self.robot_from_tracker)
         return self._rows(self.look_of(unpushed))
 
-    def look_of(self, reading: RoomReading) -> Sighting:
-        """Return the look that a reading is."""
+    def look_of(self, reading: RoomReading, *, certain: bool = False) -> Sighting:
+        """Return the look that a reading is; if `certain`, without points that may be ghosts."""
         pushes, epoch = self.tracker.pushes, self.epoch
-        return reading.sighting(self.spheres_mm, self.sensors_mm, tracker=pushes, head=epoch)
+        return reading.sighting(self.spheres_mm, self.sensors_mm, tracker=pushes, head=epoch, certain=certain)
 
     @property
     def sensors_mm(self) -> Array:

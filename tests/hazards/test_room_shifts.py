@@ -225,6 +225,35 @@ def test_no_sphere_of_a_moved_head_is_taken_for_an_intersection_of_lines() -> No
             assert not find_ghosts(watch.spheres_mm, reading.markers_mm, moved).any()
 
 
+def beside_its_place(watch: RoomWatch, reading: RoomReading, sphere: int, off_mm: float) -> RoomReading:
+    """A marker on the arm hides a sphere from one sensor: a ghost is so far behind the sphere's place."""
+    places_mm = reading.spheres_mm
+    way = watch.spheres_mm[sphere] - EYES_MM[0]
+    places_mm[sphere] = watch.spheres_mm[sphere] + off_mm * way / np.linalg.norm(way)
+    marker = EYES_MM[1] + 0.9 * (places_mm[sphere] - EYES_MM[1])
+    return replace(seeing(reading, places_mm[[sphere, 1, 2]]), markers_mm=marker[None])
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.hazard(14)
+def test_a_ghost_half_a_millimetre_from_a_hidden_sphere_is_no_moved_head_if_two_others_are_in_place() -> None:
+    watch, reading = at_home()
+    looked = watch.compare(beside_its_place(watch, reading, 0, 0.5))
+    assert looked.moved is None
+    assert looked.judged.look.spheres.numbers == (1, 2)
+    watch, reading = at_home(np.array([0.0, 0.5, 0.0]))
+    with pytest.raises(PatientMoved, match="the head has moved"):
+        watch.compare(beside_its_place(watch, reading, 0, 0.5)).require()
+
+
+@pytest.mark.hazard(12)
+def test_with_a_single_other_sphere_in_view_one_that_may_be_a_ghost_still_shows_a_moved_head() -> None:
+    watch, reading = at_home()
+    ghost = beside_its_place(watch, reading, 0, 0.5)
+    with pytest.raises(PatientMoved, match="the head has moved"):
+        watch.compare(replace(ghost, groups=ghost.groups[:2])).require()
+
+
 def before(cell: ClinicalCell) -> tuple[StepResult, ...]:
     return (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
 

@@ -103,10 +103,10 @@ def _read_distances(folder: Path) -> tuple[TimedDistance, ...]:
 
 
 def _read_openings(journal: Sequence[Line]) -> tuple[OpeningRow, ...]:
-    """Read the last opening at each target, also where the step did not end."""
+    """Read the last opening at each target, also where the step did not end. Raises REC-003."""
     stages = [line for line in journal if line["entry"] == Entry.STAGE and line.get("opening")]
-    last = {str(line["trajectory"]): CranialOpening.model_validate(line["opening"]) for line in stages}
-    return tuple(OpeningRow(target, opening) for target, opening in last.items())
+    last = {str(line["trajectory"]): line["opening"] for line in stages}
+    return tuple(OpeningRow(target, CranialOpening.of_stage(one, target)) for target, one in last.items())
 
 
 def _find_closest_mm(way: ArmWay, distances: Sequence[TimedDistance]) -> float | None:

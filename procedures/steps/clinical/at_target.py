@@ -180,7 +180,7 @@ def _build_unwatched_outcome(context: StepContext, work_so_far: WorkProgress) ->
 def _opening_at(context: StepContext) -> CranialOpening | None:
     """Return the opening that the assistant has drilled, also before an interruption."""
     opening = context.workcell.master.instrument.stages.opening_at(context.trajectory)
-    return None if opening is None else CranialOpening.model_validate(opening)
+    return None if opening is None else CranialOpening.of_stage(opening, context.trajectory)
 
 
 def _do_stage(

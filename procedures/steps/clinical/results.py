@@ -8,10 +8,17 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, model_validator
+from pydantic import (
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    ValidationError,
+    model_validator,
+)
 
 from procedures.calibration.base_to_base import meeting_error_mm
 from procedures.engine.context import StepContext
@@ -23,6 +30,8 @@ from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Transform
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.records import OTHER_VERSION
 from ronna_hw.vectors import JointVector
 
 # Rms at the spheres that remains after a rigid fit, as measured in docs/reference/scanner-faults.md.
@@ -340,6 +349,18 @@ class CranialOpening(Values):
     seen_apart_mm: NonNegativeFloat | None = Field(
         description="Over the guide, beside the bore by the tracker; none if a frame was hidden."
     )
+
+    @classmethod
+    def of_stage(cls, plain: Mapping[str, Any], trajectory: str) -> Self:
+        """Read the opening at a trajectory from the journal. Raises REC-003 if of another version."""
+        try:
+            return cls.model_validate(plain)
+        except ValidationError as error:
+            raise OTHER_VERSION(
+                f"the opening at {trajectory} in the journal is of another version",
+                expected="the fields of this version",
+                got="; ".join(describe_mistakes(error)),
+            ) from error
 
 
 class KnownBases(StepResult, kind="base_to_base"):

@@ -113,3 +113,24 @@ def test_a_ghost_beside_a_hidden_sphere_does_not_make_a_moved_head_and_a_moved_s
     assert found["ghost"] is None or found["ghost"] < PATIENT_LIMIT_MM
     assert found["moved"] is not None
     assert found["moved"] > PATIENT_LIMIT_MM
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.hazard(14)
+def test_a_ghost_close_to_the_place_of_one_of_three_spheres_leaves_the_other_two_to_show_the_head() -> None:
+    found = {}
+    for shift_mm in (0.0, 0.5):
+        head = HeadFrames(WITH_ARMS_MM)
+        shown = np.add(WITH_ARMS_MM, (shift_mm, 0.0, 0.0))[:3]
+        way = WITH_ARMS_MM[0] - SENSORS_MM[0]
+        shown[0] = WITH_ARMS_MM[0] + 0.8 * way / np.linalg.norm(way)
+        other_mm = SENSORS_MM[1] + 0.9 * (shown[0] - SENSORS_MM[1])
+        for _ in range(AVERAGED):
+            head.add_frame(
+                showing(shown),
+                lambda spheres, points, other=other_mm: find_ghosts(spheres, other[None], points),
+            )
+        # The arm has moved: the sphere is in view again, and no line crosses there.
+        head.add_frame(showing(np.add(WITH_ARMS_MM, (shift_mm, 0.0, 0.0))[:3]))
+        found[shift_mm] = head.moved_mm
+    assert found == {0.0: pytest.approx(0.0), 0.5: pytest.approx(0.5)}

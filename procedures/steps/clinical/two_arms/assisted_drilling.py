@@ -103,7 +103,7 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
         return None
     stages = context.workcell.master.instrument.stages
     recorded = stages.opening_at(trajectory)
-    earlier = None if recorded is None else CranialOpening.model_validate(recorded)
+    earlier = None if recorded is None else CranialOpening.of_stage(recorded, trajectory)
     if earlier is not None and earlier.force_fell:
         return _keep_opening(context, earlier)
     stop_mm = stop.bore_mm + stop.standoff_mm + depths.deepest_mm

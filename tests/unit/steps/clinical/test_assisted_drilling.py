@@ -30,6 +30,7 @@ from procedures.steps.clinical.two_arms.skull_opening import (
 )
 from procedures.steps.clinical.work_progress import DepthStop
 from ronna_hw.devices.contact import Inserted
+from ronna_hw.errors import RonnaError
 
 INSIDE_MM = 12.5
 DEPTHS = DrillDepths(SkullSection(5.7, INSIDE_MM), 100.0)
@@ -46,6 +47,14 @@ def drilled(
         cast("Any", None), 10.0, 15.0 if met_bone else 1.4, broke_through=fell, met_bone=met_bone
     )
     return _build_opening(depths, _plan_feed(depths, 30.0, 7.7), OVER, inserted, depth_mm, 1.0)
+
+
+def test_an_opening_of_an_earlier_version_is_refused_with_a_code_and_the_fields_that_it_lacks() -> None:
+    plain = drilled(60.0).model_dump(mode="json")
+    assert CranialOpening.of_stage(plain, "T1") == drilled(60.0)
+    del plain["force_fell"]
+    with pytest.raises(RonnaError, match=r"REC-003: the opening at T1 .* another version.*force_fell"):
+        CranialOpening.of_stage(plain, "T1")
 
 
 class AskedContext(NamedTuple):
