@@ -4,8 +4,8 @@ Both leave residuals, and an adjustment that weighs sizes of the arm's errors ta
 each is given its probability: every sphere displaced alone, and every two alike, against none, under all
 hypotheses about the arm (see `displaced_spheres`). With four spheres the looks alone often cannot tell. The
 tracker can: it sees the spheres without the arm, and one that moved before its look is displaced in both. One
-that moved after it is displaced in the looks alone, so either is weighed: what the tracker saw in its place
-speaks for no sphere. The odds before the looks are stated here. Nothing is
+that moved after it is displaced in the looks alone, so the more telling of both counts: what the tracker saw
+in its place speaks for no sphere. The odds before the looks are stated here. Nothing is
 corrected or widened: where a displacement is more probable than not, the registration is refused, or the
 sphere is left out.
 """
@@ -19,7 +19,6 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.special import expit, log_expit, logsumexp
 
 from procedures.registration.arm_adjustment import PlannedAdjustment
@@ -31,8 +30,7 @@ from ronna_hw.arrays import Array
 # Per axis, one standard deviation of a displacement, each as probable: a sphere that was leaned on, and one
 # that came loose. (U)
 DISPLACED_MM = (0.3, 1.0)
-# Odds before the looks that any one sphere has moved, and any two alike: before the tracker's look, and as
-# much after it. (U)
+# Odds before the looks that any one sphere has moved, and any two alike. (U)
 MOVED_ODDS, MOVED_ALIKE_ODDS = 1.0 / 20.0, 1.0 / 1000.0
 # More probable than not.
 # Safety against a moved sphere that is taken for an error of the arm (U).
@@ -91,8 +89,7 @@ class MovedSphereTest:
             return cls(groups, before, tests, ())
         looks = planned.weights.shape[-1] // AXES
         of_both = [[*own, looks + place] for place, own in enumerate(rows)]
-        both = np.array([block_diag(one, view.weight) for one in planned.weights])
-        return cls(groups, before, tests, _by_size(both, of_both, groups))
+        return cls(groups, before, tests, _by_size(view.weigh_with(planned, rows), of_both, groups))
 
     def judge(self, residuals_mm: Array, probabilities: Array, seen_mm: Array | None = None) -> MovedSpheres:
         """Judge residuals (a, 3m) of arms whose hypotheses have these probabilities (a, h).
@@ -102,7 +99,7 @@ class MovedSphereTest:
         factors = _log_factors(self.tests, residuals_mm, probabilities)
         if seen_mm is not None:
             both = np.concatenate([residuals_mm, seen_mm], axis=1)
-            factors = np.logaddexp(factors, _log_factors(self.seen, both, probabilities))
+            factors = np.maximum(factors, _log_factors(self.seen, both, probabilities))
         return MovedSpheres(self.groups, self.before + factors)
 
 

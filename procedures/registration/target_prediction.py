@@ -253,7 +253,7 @@ def chi_square_of_shared(
     explain does not count.
     """
     residuals = residuals_mm.reshape(-1)
-    return float(residuals @ residual_information(fiducials_mm, covariance_mm2, shared_mm) @ residuals)
+    return float(residuals @ _information(fiducials_mm, covariance_mm2, shared_mm) @ residuals)
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ def find_unnoticed_point(
     chi-square is then the limit: freedom plus what the displacement alone adds. Every direction is tried.
     """
     count = len(fiducials_mm)
-    full = residual_information(fiducials_mm, allowed.independent_mm2, allowed.shared_mm)
+    full = _information(fiducials_mm, allowed.independent_mm2, allowed.shared_mm)
     information = full.reshape(count, 3, count, 3)
     spare = gate.chi_square_limit - degrees_of_freedom(count)
     influences = influence_of_spheres(fiducials_mm, target_mm, weights)
@@ -307,7 +307,7 @@ def find_worst_displacement(
     return worst
 
 
-def residual_information(fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array) -> Array:
+def _information(fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array) -> Array:
     """Return the inverse covariance (3n, 3n) of residuals, excluding what rigid motions can explain."""
     columns = shared_mm.reshape(-1, shared_mm.shape[-1])
     weight = np.linalg.inv(block_diag(*covariance_mm2) + columns @ columns.T)

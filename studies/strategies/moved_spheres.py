@@ -85,7 +85,7 @@ def view_spheres(points_mm: Array, spheres: Sequence[int]) -> TrackerView:
     _, first = np.unique(spheres, return_index=True)
     covariances_mm2 = np.tile(np.diag(SEEN_MM**2), (len(first), 1, 1))
     own_mm = points_mm[first]
-    return TrackerView.of(own_mm, own_mm, covariances_mm2, np.zeros((len(first), AXES, 1)))
+    return TrackerView.of(own_mm, own_mm, covariances_mm2, np.zeros((own_mm.size, own_mm.size)))
 
 
 def run_learning(

@@ -16,7 +16,7 @@ import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.registration import Registration, register
-from procedures.registration.arm_hypotheses import Source, at_looks, share_by_sphere
+from procedures.registration.arm_hypotheses import Source, at_looks, covariance_of, share_by_sphere
 from procedures.registration.arm_learning import ArmLearning, LearnedTarget, Looks
 from procedures.registration.displaced_spheres import Group
 from procedures.registration.error_sources import CT, OF_SPHERES, REPEATABILITY, SEATING, STEREO
@@ -319,8 +319,9 @@ class LearnedPairs:
     @cached_property
     def _checked(self) -> CheckedLooks:
         each = self._one_each
-        seen_mm2 = each.ct_mm2 + each.seating_mm2 + each.tracker_mm2
-        view = TrackerView.of(each.image_mm, each.tracker_mm, seen_mm2, each.scan.at_spheres_mm)
+        of_spheres = IndependentErrors(CT, each.ct_mm2 + each.seating_mm2, np.zeros((3, 3)))
+        common_mm2 = covariance_of([of_spheres, each.scan])
+        view = TrackerView.of(each.image_mm, each.tracker_mm, each.tracker_mm2, common_mm2)
         return self._coarse.check(self._rows, error_budget.GATE_CONFIDENCE, view)
 
     @cached_property
