@@ -67,6 +67,7 @@ class JudgedHypotheses:
 class PlannedAdjustment:
     """Looks (m,) prepared under each hypothesis."""
 
+    points_mm: Array  # (m, 3)
     informations: Array  # (h, 3m, 3m) of the looks
     weights: Array  # (h, 3m, 3m) the same of the residuals, excluding what a pose explains
     spreads: Array  # (h,) log determinants: minus twice the log likelihood of residuals of zero
@@ -84,7 +85,7 @@ class PlannedAdjustment:
             informations.append(information)
             weights.append(information - information @ pose @ np.linalg.solve(normal, on_pose))
             spreads.append(np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(normal)[1])
-        return cls(np.array(informations), np.array(weights), np.array(spreads))
+        return cls(points_mm, np.array(informations), np.array(weights), np.array(spreads))
 
     def judge(self, residuals_mm: Array) -> JudgedHypotheses:
         """Judge the hypotheses by the residuals (a, 3m) of each arm."""

@@ -29,6 +29,7 @@ from procedures.registration.target_prediction import (
     TargetPrediction,
     UnnoticedPoint,
 )
+from procedures.registration.tracker_view import TrackerView
 from ronna_hw.arrays import Array
 
 
@@ -129,10 +130,10 @@ class ArmLearning:
         own_blocks = blocks[np.arange(count), :, np.arange(count)]
         return place.reshape(-1, AXES), np.asarray(0.5 * (own_blocks + own_blocks.transpose(0, 2, 1)))
 
-    def check(self, rows: Sequence[Sequence[int]], confidence: float) -> CheckedLooks:
-        """Check the looks before the arm is accepted; `rows` are those at each sphere."""
-        checks = LookChecks.of(self.planned, rows, confidence)
-        return checks.judge(self.looks.residuals_mm.reshape(1, -1))
+    def check(self, rows: Sequence[Sequence[int]], confidence: float, view: TrackerView) -> CheckedLooks:
+        """Check the looks before the arm is accepted; `rows` are those at each sphere of the `view`."""
+        checks = LookChecks.of(self.planned, rows, confidence, view)
+        return checks.judge(self.looks.residuals_mm.reshape(1, -1), view.residuals_mm.reshape(1, -1))
 
     def find_passing(
         self, rows: Sequence[Sequence[int]], confidence: float, most_mm: float

@@ -15,7 +15,6 @@ from typing import Self
 import numpy as np
 from scipy.special import logsumexp
 
-from procedures.registration.arm_adjustment import PlannedAdjustment
 from procedures.registration.target_prediction import AXES
 from ronna_hw.arrays import Array
 
@@ -35,21 +34,21 @@ class DisplacementTest:
     @classmethod
     def of(
         cls,
-        planned: PlannedAdjustment,
+        weights: Array,
         rows: Sequence[Sequence[int]],
         groups: Sequence[Group],
         displaced_mm: float,
     ) -> Self:
-        """Prepare the test of looks.
+        """Prepare the test of looks, weighted (h, 3m, 3m) with what a pose explains excluded.
 
         `rows` are those at each sphere, `displaced_mm` is one standard deviation of a displacement per axis.
         """
-        looks = planned.weights.shape[-1] // AXES
+        looks = weights.shape[-1] // AXES
         columns = np.zeros((len(groups), looks, AXES, AXES))
         for number, group in enumerate(groups):
             columns[number, [row for one in group for row in rows[one]]] = np.eye(AXES)
         flat = columns.reshape(len(groups), -1, AXES)
-        seen = planned.weights @ flat[:, None]
+        seen = weights @ flat[:, None]
         known = np.swapaxes(flat, 1, 2)[:, None] @ seen + np.eye(AXES) / displaced_mm**2
         spreads: Array = np.linalg.slogdet(known)[1] + 2.0 * AXES * np.log(displaced_mm)
         return cls(tuple(groups), flat, seen, np.asarray(np.linalg.inv(known), dtype=np.float64), spreads)

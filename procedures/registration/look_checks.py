@@ -18,6 +18,7 @@ from procedures.registration.arm_hypotheses import HYPOTHESES, LARGEST_SHARE
 from procedures.registration.error_theory import chi_square_limit
 from procedures.registration.moved_sphere import MovedSpheres, MovedSphereTest
 from procedures.registration.target_prediction import AXES, spread_directions
+from procedures.registration.tracker_view import TrackerView
 from ronna_hw.arrays import Array
 
 SHARES = np.array([one.share for one in HYPOTHESES])
@@ -55,19 +56,28 @@ class LookChecks:
     limit: float
 
     @classmethod
-    def of(cls, planned: PlannedAdjustment, rows: Sequence[Sequence[int]], confidence: float) -> Self:
-        """Prepare the checks; `rows` are the looks at each sphere, `confidence` is that of chi-square."""
+    def of(
+        cls,
+        planned: PlannedAdjustment,
+        rows: Sequence[Sequence[int]],
+        confidence: float,
+        view: TrackerView | None = None,
+    ) -> Self:
+        """Prepare the checks; `rows` are the looks at each sphere, `confidence` is that of chi-square.
+
+        The tracker's `view` is of the same spheres.
+        """
         freedom = planned.weights.shape[-1] - 6
         return cls(
             planned,
             tuple(tuple(one) for one in rows),
-            MovedSphereTest.of(planned, rows),
+            MovedSphereTest.of(planned, rows, view),
             freedom,
             chi_square_limit(freedom, confidence),
         )
 
-    def judge(self, residuals_mm: Array) -> CheckedLooks:
-        """Check residuals (a, 3m) of arms."""
+    def judge(self, residuals_mm: Array, seen_mm: Array | None = None) -> CheckedLooks:
+        """Check residuals (a, 3m) of arms, with those (a, 3n) of the tracker's view if it was prepared."""
         judged = self.planned.judge(residuals_mm)
         return CheckedLooks(
             judged.probabilities,
@@ -75,14 +85,15 @@ class LookChecks:
             self.freedom,
             self.limit,
             judged.probabilities @ SHARES,
-            self.test.judge(residuals_mm, judged.probabilities),
+            self.test.judge(residuals_mm, judged.probabilities, seen_mm),
         )
 
     def find_passing(self, residuals_mm: Array, most_mm: float) -> PassingDisplacements:
         """Find how far each sphere could be displaced in every direction with these residuals (3m,) passing.
 
         If a sphere did move and the residuals without that pass too, its displacement is among these: the
-        search inverts the checks. Each is rounded up to the next length tried, up to `most_mm`.
+        search inverts the checks. Each is rounded up to the next length tried, up to `most_mm`. The sphere
+        may move after the tracker's look, so the looks alone are asked.
         """
         half = spread_directions(DIRECTIONS)
         directions = np.concatenate([half, -half])

@@ -75,7 +75,7 @@ class PairTest:
     def of(cls, planned: PlannedAdjustment, rows: Sequence[Sequence[int]]) -> Self:
         """Prepare the test of looks; `rows` are those at each sphere."""
         pairs = tuple(combinations(range(len(rows)), 2))
-        return cls(DisplacementTest.of(planned, rows, pairs, DISPLACED_MM))
+        return cls(DisplacementTest.of(planned.weights, rows, pairs, DISPLACED_MM))
 
     @property
     def pairs(self) -> tuple[tuple[int, ...], ...]:

@@ -23,6 +23,7 @@ from procedures.registration.target_prediction import (
     influence_of_spheres,
     predict_by_influence,
 )
+from procedures.registration.tracker_view import TrackerView
 from procedures.steps.clinical.error_budget import GATE_ARM_RESERVE, GATE_CONFIDENCE, arm_covariance_mm2
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM
@@ -73,15 +74,21 @@ class LearnedRegistration:
     targets: tuple[PlannedTarget, ...]
 
     @classmethod
-    def of(cls, points_mm: Array, spheres: Sequence[int], targets: Sequence[TargetSources]) -> Self:
-        """Prepare looks at points (m, 3) mm of these spheres (m,).
+    def of(
+        cls,
+        points_mm: Array,
+        spheres: Sequence[int],
+        targets: Sequence[TargetSources],
+        view: TrackerView | None = None,
+    ) -> Self:
+        """Prepare looks at points (m, 3) mm of these spheres (m,), which a tracker may view.
 
         The sources of every target are the same at the looks.
         """
         planned = PlannedAdjustment.of(points_mm, targets[0].arm, targets[0].others)
         rows = [np.flatnonzero(np.equal(spheres, one)).tolist() for one in sorted(set(spheres))]
         return cls(
-            LookChecks.of(planned, rows, GATE_CONFIDENCE),
+            LookChecks.of(planned, rows, GATE_CONFIDENCE, view),
             tuple(PlannedTarget.of(points_mm, one.target_mm, one.arm, one.others) for one in targets),
         )
 
@@ -90,13 +97,13 @@ class LearnedRegistration:
         """Adjustment of the looks."""
         return self.checks.planned
 
-    def judge(self, residuals_mm: Array) -> Judged:
-        """Adjust `a` arms by their residuals (a, m, 3)."""
+    def judge(self, residuals_mm: Array, seen_mm: Array | None = None) -> Judged:
+        """Adjust `a` arms by their residuals (a, m, 3), with those (a, 3n) of the tracker's view."""
         flat = residuals_mm.reshape(len(residuals_mm), -1)
         judged = self.planned.judge(flat)
         shifts, parts = zip(*(one.correct(flat, judged.probabilities) for one in self.targets), strict=True)
         covariances = [np.sum(list(by_source.values()), axis=0) for by_source in parts]
-        checked = self.checks.judge(flat)
+        checked = self.checks.judge(flat, seen_mm)
         is_suspect = checked.moved.is_probable | (checked.shares > LARGEST_SHARE)
         for target, shift, covariance in zip(self.targets, shifts, covariances, strict=True):
             limits_mm = target.limit_corrections_mm(judged.probabilities, covariance)

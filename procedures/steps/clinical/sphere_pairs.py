@@ -16,7 +16,7 @@ import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.registration import Registration, register
-from procedures.registration.arm_hypotheses import Source, at_looks, share_by_sphere
+from procedures.registration.arm_hypotheses import Source, at_looks, covariance_of, share_by_sphere
 from procedures.registration.arm_learning import ArmLearning, LearnedTarget, Looks
 from procedures.registration.displaced_spheres import Group
 from procedures.registration.error_sources import CT, OF_SPHERES, REPEATABILITY, SEATING, STEREO
@@ -34,9 +34,13 @@ from procedures.registration.target_prediction import (
     check_residuals,
     predict_target_error,
 )
+from procedures.registration.tracker_view import TrackerView
+from procedures.room.model import FIELD_MM
+from procedures.room.sighting import expect_spheres
 from procedures.steps.clinical import error_budget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.results import LearnedArm, Relocalization
 from procedures.steps.clinical.sphere_checks import SphereCheck, check_looks, check_residual
@@ -106,6 +110,18 @@ def pairs_of(context: StepContext) -> Pairs:
     return LearnedPairs(looked, tuple(errors))
 
 
+def _seen_by_tracker(context: StepContext, fiducials: Sequence[int]) -> tuple[Array, Array]:
+    """Return where the tracker saw spheres (n,), mm in the robot frame, and covariances (n, 3, 3).
+
+    Its smooth error counts as if neighbours did not share it: what they share would show less.
+    """
+    room, of_ct = context.result(GlobalLocalization), dict(context.result(Correspondence).pairs)
+    seen_mm = room.points_mm[[of_ct[one] for one in fiducials]]
+    rotation = room.robot_from_tracker.transform.rotation_matrix
+    own_mm2 = expect_spheres(seen_mm, room.frames).covariances_mm2 + np.diag(FIELD_MM**2)
+    return seen_mm, rotation @ own_mm2 @ rotation.T
+
+
 @dataclass(frozen=True)
 class LookedPairs:
     """One look at each sphere, with covariances in the frame of the room."""
@@ -118,6 +134,8 @@ class LookedPairs:
     seating_mm2: Array
     stereo_mm2: Array
     sides_mm2: Array  # of backlashes, where the strategy does not control them
+    tracker_mm: Array  # as the tracker saw the sphere
+    tracker_mm2: Array
     arm_mm: float  # the arm's sigma per axis
     scan: SharedErrors  # the CT as a whole
     allowed: AllowedErrors  # by the gate
@@ -141,6 +159,7 @@ class LookedPairs:
         seating_mm2 = np.tile(np.eye(3) * seating_mm**2, (count, 1, 1))
         sides_mm2 = error_budget.unknown_sides_mm2(context, looks, fine.points_mm)
         scan = localization.scan_errors(image_mm, image_mm.mean(axis=0), rotation)
+        tracker_mm, tracker_mm2 = _seen_by_tracker(context, fiducials)
         return cls(
             fiducials=fine.fiducials,
             looks=looks,
@@ -150,6 +169,8 @@ class LookedPairs:
             seating_mm2=seating_mm2,
             stereo_mm2=stereo_mm2,
             sides_mm2=sides_mm2,
+            tracker_mm=tracker_mm,
+            tracker_mm2=tracker_mm2,
             arm_mm=arm_error_mm(settings, context.workcell.calibrations.arm),
             scan=scan,
             allowed=error_budget.allowed_errors(
@@ -200,6 +221,8 @@ class LookedPairs:
             seating_mm2=self.seating_mm2[kept],
             stereo_mm2=self.stereo_mm2[kept],
             sides_mm2=self.sides_mm2[kept],
+            tracker_mm=self.tracker_mm[kept],
+            tracker_mm2=self.tracker_mm2[kept],
             scan=replace(self.scan, at_spheres_mm=self.scan.at_spheres_mm[kept]),
             allowed=self.allowed[kept],
         )
@@ -242,9 +265,9 @@ class LearnedPairs:
     @cached_property
     def fit(self) -> Registration:
         places_mm, covariances_mm2 = self._coarse.spheres_mm(self._rows)
-        first = [rows[0] for rows in self._rows]
-        measured = self.looked.ct_mm2[first] + self.looked.seating_mm2[first]
-        return register(self.looked.image_mm[first], places_mm, covariance_mm2=measured + covariances_mm2)
+        one_each = self._one_each
+        measured = one_each.ct_mm2 + one_each.seating_mm2
+        return register(one_each.image_mm, places_mm, covariance_mm2=measured + covariances_mm2)
 
     @cached_property
     def learning(self) -> ArmLearning:
@@ -295,7 +318,11 @@ class LearnedPairs:
 
     @cached_property
     def _checked(self) -> CheckedLooks:
-        return self._coarse.check(self._rows, error_budget.GATE_CONFIDENCE)
+        each = self._one_each
+        of_spheres = IndependentErrors(CT, each.ct_mm2 + each.seating_mm2, np.zeros((3, 3)))
+        common_mm2 = covariance_of([of_spheres, each.scan])
+        view = TrackerView.of(each.image_mm, each.tracker_mm, each.tracker_mm2, common_mm2)
+        return self._coarse.check(self._rows, error_budget.GATE_CONFIDENCE, view)
 
     @cached_property
     def _passing(self) -> PassingDisplacements:
@@ -315,6 +342,11 @@ class LearnedPairs:
             [row for row, of in enumerate(self.looked.fiducials) if of == fiducial]
             for fiducial in self.fiducials
         ]
+
+    @property
+    def _one_each(self) -> LookedPairs:
+        """The first look at each sphere."""
+        return self.looked.at([rows[0] for rows in self._rows])
 
     def _adjust(self, mapped_mm: Array) -> ArmLearning:
         nothing = np.zeros((3, 3))

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from procedures.registration.arm_adjustment import PlannedAdjustment, PlannedTarget
-from procedures.registration.arm_hypotheses import LARGEST_SHARE, Source, share_by_sphere
+from procedures.registration.arm_hypotheses import LARGEST_SHARE, Source, at_looks, share_by_sphere
 from procedures.registration.look_checks import LookChecks
 from procedures.registration.target_prediction import IndependentErrors, SharedErrors
+from procedures.registration.tracker_view import TrackerView
 from ronna_hw.arrays import Array
 
 SPHERES = np.array([[80.0, 0, 0], [0, 90, 20], [-70, -10, 40], [10, -80, 0], [-40, 60, -30]])
@@ -17,6 +18,7 @@ TWICE = tuple(range(5)) * 2
 ROWS = [(number, number + 5) for number in range(5)]
 NOISE_MM, CT_MM, ARM_MM = 0.02, 0.05, 0.3
 CONFIDENCE, MOST_MM = 0.999, 3.0
+FOUR, TRACKER_MM = range(4), 0.15
 
 
 def sources() -> tuple[SharedErrors, list[Source]]:
@@ -66,6 +68,40 @@ def test_a_moved_sphere_is_found_and_named_though_errors_of_the_arm_might_explai
     checked = prepared().judge(displace(residuals, (2,), np.array([0.6, -0.5, 0.4])))
     assert np.mean(checked.moved.is_probable) > 0.95
     assert np.mean([checked.moved.suspects(arm)[0] == (2,) for arm in range(200)]) > 0.95
+
+
+def looks_at_four() -> tuple[LookChecks, Array]:
+    """Return checks of one look at each of four spheres, which the tracker saw too, and looks of 400 arms."""
+    arm, others = sources()
+    of_arm, of_others = at_looks([arm], FOUR), at_looks(others, FOUR)
+    seen_mm2 = np.tile(np.eye(3) * TRACKER_MM**2, (len(FOUR), 1, 1))
+    common_mm2 = CT_MM**2 * np.eye(3 * len(FOUR))
+    view = TrackerView.of(SPHERES[:4], SPHERES[:4], seen_mm2, common_mm2)
+    planned = PlannedAdjustment.of(SPHERES[:4], of_arm, of_others)
+    shown = drawn(np.random.default_rng(2), 400, 1.0)[:, : 3 * len(FOUR)]
+    return LookChecks.of(planned, [(one,) for one in FOUR], CONFIDENCE, view), shown
+
+
+@pytest.mark.hazard(11)
+def test_the_tracker_shows_a_moved_sphere_that_four_looks_take_for_errors_of_the_arm() -> None:
+    checks, right = looks_at_four()
+    random = np.random.default_rng(7)
+    noise = TRACKER_MM * random.normal(size=right.shape)
+    towards = random.normal(size=(len(right), 3))
+    by = np.zeros_like(right)
+    by[:, 6:9] = 1.2 * towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    assert np.mean(checks.judge(right, noise).passed) > 0.995
+    assert np.mean(checks.judge(right + by).passed) > 0.2
+    both = checks.judge(right + by, noise + by)
+    assert np.mean(both.passed) < 0.02
+    assert np.mean([both.moved.suspects(arm)[0] == (2,) for arm in range(100)]) > 0.9
+
+
+def test_a_tracker_that_saw_a_sphere_in_place_does_not_clear_it_of_having_moved_since() -> None:
+    checks, right = looks_at_four()
+    in_place = np.zeros_like(right)
+    by_looks, both = checks.judge(right).moved, checks.judge(right, in_place).moved
+    assert np.all(both.log_odds >= by_looks.log_odds)
 
 
 def test_two_spheres_that_moved_alike_are_suspected_together() -> None:

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.journal.results import FramedPose
+from procedures.registration.arm_hypotheses import at_looks
 from procedures.registration.error_sources import (
     CT,
     LACKING,
@@ -38,7 +39,7 @@ ROBOT_FROM_CT = Transform(
 TURNS = Rotation.from_euler("xyz", [[0, 0, 0], [30, 0, 0], [0, 30, 20]], degrees=True).as_matrix()
 TOOL_MM = 2.0  # one standard deviation per axis
 TOOL_ERROR_MM = np.array([2.5, -1.0, 1.5])
-SPHERE_MM, REST_MM = 0.05, 0.01
+SPHERE_MM, REST_MM, TRACKER_MM = 0.05, 0.01, 0.15
 
 
 def pairs(
@@ -73,6 +74,8 @@ def pairs(
             seating_mm2=small,
             stereo_mm2=np.tile(np.eye(3) * 1e-6, (len(rows), 1, 1)),
             sides_mm2=np.zeros((len(rows), 3, 3)),
+            tracker_mm=ROBOT_FROM_CT.apply(true[rows]),
+            tracker_mm2=np.tile(np.eye(3) * TRACKER_MM**2, (len(rows), 1, 1)),
             arm_mm=0.1,
             scan=SharedErrors(SCAN, np.zeros((len(rows), 3, 1)), np.zeros((3, 1))),
             allowed=AllowedErrors(small, TOOL_MM * turns),
@@ -130,6 +133,17 @@ def test_a_moved_sphere_is_named_and_not_taken_for_an_error_of_the_arm() -> None
     assert some.find_moved() == ((2,),)
     assert some.without(2).fiducials == (0, 1, 3, 4)
     assert agree(some.without(2))
+
+
+@pytest.mark.hazard(11)
+def test_with_one_look_at_each_of_four_spheres_the_tracker_shows_which_has_moved() -> None:
+    every = pairs(np.random.default_rng(3), moved_mm=np.array([1.2, 0.0, 0.0]))
+    rows = [0, 4, 8, 9]
+    some = replace(every, looked=every.looked.at(rows), errors=tuple(at_looks(every.errors, rows)))
+    in_place_mm = ROBOT_FROM_CT.apply(some.looked.image_mm)
+    unseen = replace(some, looked=replace(some.looked, tracker_mm=in_place_mm))
+    assert [one.checks[0].passed for one in (unseen, some)] == [True, False]
+    assert some.find_moved() == ((2,),)
 
 
 def test_the_prediction_has_the_spheres_the_arm_and_what_its_model_lacks() -> None:
