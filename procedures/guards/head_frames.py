@@ -109,7 +109,7 @@ class HeadFrames:
         if enough.sum() < LEAST_POINTS:
             return None
         means = np.where(latest[:, :, None], displacements, 0.0).sum(axis=0)[enough] / AVERAGED
-        certain = ~(latest & np.array(self._uncertain)).any(axis=0)[enough]
+        certain = (latest & np.array(self._uncertain)).sum(axis=0)[enough] == 0
         if certain.sum() >= ENOUGH_IN_PLACE:
             means = means[certain]
         squares = np.sort((means * means).sum(axis=1))[: max(LEAST_POINTS, len(means) - 1)]

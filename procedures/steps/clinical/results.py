@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from pydantic import (
@@ -351,7 +351,7 @@ class CranialOpening(Values):
     )
 
     @classmethod
-    def of_stage(cls, plain: Mapping[str, Any], trajectory: str) -> Self:
+    def of_stage(cls, plain: object, trajectory: str) -> Self:
         """Read the opening at a trajectory from the journal. Raises REC-003 if of another version."""
         try:
             return cls.model_validate(plain)
