@@ -10,7 +10,7 @@ from simulated_case import LIMIT_S, SimulatedCase
 from procedures.journal.journal import Entry, Line
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.roles import ASSISTANT
-from ronna_hw.wire.room_tasks import REST_DRILL, TEST_WEIGHT, TURN_DRILL
+from ronna_hw.wire.room_tasks import DRILL, REST_DRILL, TEST_WEIGHT, TURN_DRILL
 from sim.world.process import load_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
@@ -122,3 +122,25 @@ def test_a_drill_that_is_pressed_aside_in_the_bone_stops_and_says_so(case: Simul
     assert "a force across its axis pushes the drill" in ended.stderr
     failed = first(case.journal, lambda line: line["entry"] == Entry.FAILED)
     assert not any(map(is_motion, case.journal[failed:]))
+
+
+@pytest.mark.hazard(65)
+def test_where_a_force_across_hides_whether_bone_resists_the_drill_stops_and_a_hand_drills_on(
+    case: SimulatedCase,
+) -> None:
+    thin = "since step == at_target: room bone thicker -2.8 mm\nat 0 s: room drill pushed aside 7 0 N"
+    ended = case.run(*CASE, faults=thin)
+    assert ended.returncode == EXIT_SAFETY_STOP, ended.stdout
+    assert "ARM-015" in ended.stderr
+    assert "hides whether bone resists" in ended.stderr
+    openings = [line["opening"] for line in case.journal if line.get("opening")]
+    ends = [(one["end"], one["force_fell"]) for one in openings]  # type: ignore[index,call-overload]  # lines of JSON
+    assert ends == [("not recorded", False), ("interrupted", False)]
+    before = len(case.journal)
+    folder = str(case.run_folder)
+    done = case.commands.run("ronna-procedure", "resume", folder, "--accept", "--json", timeout_s=LIMIT_S)
+    assert done.returncode == 0, done.stderr
+    after = case.journal[before:]
+    assert TURN_DRILL not in {line.get("task") for line in after}
+    assert DRILL in {line.get("task") for line in after}
+    assert "a hand drills: drilling was begun there" in str(after)

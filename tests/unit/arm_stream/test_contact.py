@@ -75,8 +75,10 @@ DRILL = DrillWatch(
     fall_share=0.4,
     earliest=1.0,
     free=0.9,
+    bone_from=1.0,
     bone_by=0.5,
     side_N=8.0,
+    friction=0.0,
     axis=(0.0, 0.6, -0.8),
 )
 
