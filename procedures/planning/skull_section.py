@@ -26,11 +26,11 @@ BIT_RADIUS_MM = 1.6  # of the drill, over whose width the HU are averaged
 AIR_CELL_MM = 3.0  # of air within a bone: it goes on behind
 AIR_HU = -200.0  # what lies in a gap with less somewhere: soft tissue and dura have more
 NEAR_MM = 10.0  # behind the inside: bone there is told
-# Safety against metal taken for bone, whose inside is then 1 to 3 mm too deep (U).
-METAL_HU = 2500.0  # anywhere over the width of the drill: cortical bone has up to 2000
 TABLE_MM = 3.0  # from a face inwards: the largest HU of its table is within
 PROMINENT_HU = 80.0  # of a table over the diploe; a skull has two tables at most
 STEEP_FROM, STEEP_TO = 0.85, 0.25  # of the largest HU of a table: between these it falls at its face
+# Safety against metal taken for bone, whose inside is then 1 to 3 mm too deep (U).
+METAL_HU = 2500.0  # anywhere over the width of the drill: cortical bone has up to 2000
 # Safety against contrast or calcified dura taken for bone. Source: layers in slices of 0.5 to 1.5 mm.
 WIDER_MM = 1.0  # a face that falls over so much more than the outer one is two
 
