@@ -90,7 +90,21 @@ class AskedContext(NamedTuple):
     openings: list[Any]
 
 
-def asked_context(answer: str, recorded: CranialOpening | None = None) -> AskedContext:
+class FeedingAssistant(SimpleNamespace):
+    """Assistant over the guide, whose feed ends with an error, or is cut off before it is known."""
+
+    def drill(self, *_plan: object) -> None:
+        self.drilled = self.feed
+        raise self.error
+
+    def drill_tip_mm(self, joints_rad: object = None) -> float:
+        assert joints_rad is not None or self.feed is None
+        return float(self.tip_mm)
+
+
+def asked_context(
+    answer: str, recorded: CranialOpening | None = None, **more_of_assistant: object
+) -> AskedContext:
     asked, found, openings = list[Any](), list[str](), list[Any]()
 
     def choose(question: Any) -> str:
@@ -103,7 +117,9 @@ def asked_context(answer: str, recorded: CranialOpening | None = None) -> AskedC
         interruption_at=lambda _name: None,
     )
     instrument = SimpleNamespace(stages=stages, record_insertion=lambda _name: None)
-    assistant = SimpleNamespace(senses_force=True, force_error_N=1.0, drilled_mm=lambda _name: None)
+    assistant = FeedingAssistant(
+        senses_force=True, force_error_N=1.0, drilled_mm=lambda _name: None, **more_of_assistant
+    )
     planned = SimpleNamespace(trajectory=lambda _name: SimpleNamespace(trajectory=None))
     fields = {
         "trajectory": "T1",
@@ -328,18 +344,6 @@ def test_an_opening_is_fed_on_only_where_bone_resisted_to_its_end_and_else_goes_
         assert limits.bone_from_mm == 0.0
 
 
-class FeedingAssistant(SimpleNamespace):
-    """Assistant over the guide, whose feed ends with an error, or is cut off before it is known."""
-
-    def drill(self, *_plan: object) -> None:
-        self.drilled = self.feed
-        raise self.error
-
-    def drill_tip_mm(self, joints_rad: object = None) -> float:
-        assert joints_rad is not None or self.feed is None
-        return float(self.tip_mm)
-
-
 @pytest.mark.hazard(65)
 @pytest.mark.parametrize(
     ("feed", "tip_mm", "ends", "why"),
@@ -364,12 +368,9 @@ def test_a_feed_is_recorded_before_it_begins_and_however_it_ends(
     monkeypatch.setattr(assisted_drilling, "measure_skull", lambda *_args: DEPTHS.skull)
     monkeypatch.setattr(assisted_drilling, "bring_over_guide", lambda *_args: OVER)
     monkeypatch.setattr(assisted_drilling, "guided_stretch", lambda *_args: None)
-    case = asked_context(YES)
-    case.context.workcell.assistant = FeedingAssistant(  # type: ignore[misc]
-        senses_force=True,
-        force_error_N=1.0,
+    case = asked_context(
+        YES,
         drilled=None,
-        drilled_mm=lambda _name: None,
         axis_in_base=lambda axis: axis,
         lead_in=lambda *_args: None,
         record_drill=lambda **_state: None,
