@@ -32,6 +32,12 @@ def is_insertion(line: Line) -> bool:
     return is_motion(line) and (line["arm"], line["what"]) == (ASSISTANT, "insert")
 
 
+def feeds(case: SimulatedCase) -> list[tuple[object, object]]:
+    """How each record of an opening has the end of its feed, and whether the force fell."""
+    openings = [line["opening"] for line in case.journal if line.get("opening")]
+    return [(one["end"], one["force_fell"]) for one in openings]  # type: ignore[index,call-overload]  # lines of JSON
+
+
 @pytest.mark.hazard(66)
 def test_where_no_bone_is_felt_the_step_ends_with_the_drill_off_and_the_arms_at_rest(
     case: SimulatedCase,
@@ -102,8 +108,7 @@ def test_after_a_breakthrough_that_was_not_accepted_no_repetition_leads_the_dril
     ended = case.run(*CASE, faults="since step == at_target: room bone thicker -2.8 mm", answers=NOT_DRILLED)
     assert ended.returncode == EXIT_REFUSED, ended.stdout
     assert "the operator did not accept the opening at T1" in ended.stderr
-    openings = [line["opening"] for line in case.journal if line.get("opening")]
-    assert [one["force_fell"] for one in openings] == [True]  # type: ignore[index,call-overload]  # lines of JSON
+    assert feeds(case) == [("not recorded", False), ("ended", True)]
     before = len(case.journal)
     folder = str(case.run_folder)
     again = case.commands.run("ronna-procedure", "resume", folder, "--accept", "--json", timeout_s=LIMIT_S)
@@ -133,9 +138,7 @@ def test_where_a_force_across_hides_whether_bone_resists_the_drill_stops_and_a_h
     assert ended.returncode == EXIT_SAFETY_STOP, ended.stdout
     assert "ARM-015" in ended.stderr
     assert "hides whether bone resists" in ended.stderr
-    openings = [line["opening"] for line in case.journal if line.get("opening")]
-    ends = [(one["end"], one["force_fell"]) for one in openings]  # type: ignore[index,call-overload]  # lines of JSON
-    assert ends == [("not recorded", False), ("interrupted", False)]
+    assert feeds(case) == [("not recorded", False), ("interrupted", False)]
     before = len(case.journal)
     folder = str(case.run_folder)
     done = case.commands.run("ronna-procedure", "resume", folder, "--accept", "--json", timeout_s=LIMIT_S)
