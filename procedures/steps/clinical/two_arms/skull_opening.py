@@ -155,7 +155,9 @@ def _ask_to_accept(context: StepContext, opening: CranialOpening, doubt: str, li
     """Ask whether an opening counts as drilled. Raises PRO-007 if it does not."""
     trajectory, depth_mm = context.trajectory, opening.depth_mm
     further = (
-        "it asks again, and drills no further" if opening.force_fell else "it asks before it goes in again"
+        "it asks again, and drills no further"
+        if opening.force_fell
+        else "where bone resisted to the end it asks before it goes in again, else a hand drills"
     )
     question = Question(
         Topic.BREAKTHROUGH,
