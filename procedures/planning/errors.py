@@ -1,4 +1,4 @@
-"""Errors in plans, PLAN-001 to PLAN-034, and in tool records, TOOL-002 and TOOL-003.
+"""Errors in plans, PLAN-001 to PLAN-035, and in tool records, TOOL-002 and TOOL-003.
 
 Several errors of one check are raised as one error; if they are all of one kind it has that kind's
 code, otherwise PLAN-002.
@@ -287,6 +287,13 @@ SPHERES_NOT_TRACKED = ErrorCode(
         '"xframe" in the plan, or use a tracker that reports single spheres.'
     ),
 )
+
+
+class MetalInSkull(RefusedError):
+    """The CT shows metal in the skull on the way of a drill: how deep the skull is there is not known."""
+
+    code = "PLAN-035"
+    action = "Have it drilled by hand, with a stop that does not go by this CT, or plan another entry."
 
 
 NO_TOOL_RECORD = ErrorCode(

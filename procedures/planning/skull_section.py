@@ -2,7 +2,8 @@
 
 Where the profile has two readings, both are told, and the nearer inside counts. Bone that goes on behind a
 gap is a calcified dura, or the inner table behind a diploe of marrow. An inner table that does not fall to
-soft tissue as sharply as the outer one has contrast or calcified dura against it, or is weak bone.
+soft tissue as sharply as the outer one has contrast or calcified dura against it, or is weak bone. Metal
+shines over its faces and saturates, so that none of bone near it is measured.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from procedures.planning.errors import MetalInSkull
 from procedures.planning.head_in_ct import BONE_HU, STEP_MM, ring_around
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arrays import Array
@@ -27,6 +29,8 @@ NEAR_MM = 10.0  # behind the inside: bone there is told
 TABLE_MM = 3.0  # from a face inwards: the largest HU of its table is within
 PROMINENT_HU = 80.0  # of a table over the diploe; a skull has two tables at most
 STEEP_FROM, STEEP_TO = 0.85, 0.25  # of the largest HU of a table: between these it falls at its face
+# Safety against metal taken for bone, whose inside is then 1 to 3 mm too deep (U).
+METAL_HU = 2500.0  # anywhere over the width of the drill: cortical bone has up to 2000
 # Safety against contrast or calcified dura taken for bone. Source: layers in slices of 0.5 to 1.5 mm.
 WIDER_MM = 1.0  # a face that falls over so much more than the outer one is two
 
@@ -52,10 +56,11 @@ def measure_skull(volume: Volume, trajectory: Trajectory) -> SkullSection | None
     """Measure the skull along a trajectory, at half the largest HU of each table.
 
     None if no bone with an inside is met within `INSIDE_MM` of the entry, if bone or metal is at the entry
-    itself, or the CT ends before.
+    itself, or the CT ends before. Raises PLAN-035 for metal in the skull or near its inside.
     """
     steps_mm = np.arange(0.0, min(INSIDE_MM, trajectory.depth_mm), STEP_MM)
-    hu = _mean_hu(volume, trajectory, steps_mm)
+    across_hu = _hu_across(volume, trajectory, steps_mm)
+    hu = across_hu.mean(axis=1)
     bone = np.flatnonzero(hu > BONE_HU)
     if not len(bone) or bone[0] == 0:
         return None
@@ -73,6 +78,7 @@ def measure_skull(volume: Volume, trajectory: Trajectory) -> SkullSection | None
         if gap_mm <= NEAR_MM:
             again = begin
         break
+    _require_no_metal(steps_mm, across_hu.max(axis=1), max(last, again) + round(NEAR_MM / STEP_MM))
     if last + 1 == len(steps_mm):
         return None
     outside_mm = _face_mm(steps_mm[: last + 1], hu[: last + 1], first)
@@ -128,8 +134,19 @@ def _first_mm(steps_mm: Array, hu: Array, below: float) -> float:
     return float(steps_mm[at - 1] + share * (steps_mm[at] - steps_mm[at - 1]))
 
 
-def _mean_hu(volume: Volume, trajectory: Trajectory, steps_mm: Array) -> Array:
-    """Return the HU (n,) over the width of the drill, as air outside the CT."""
+def _require_no_metal(steps_mm: Array, largest_hu: Array, end: int) -> None:
+    metal = np.flatnonzero(largest_hu[:end] > METAL_HU)
+    if len(metal):
+        raise MetalInSkull(
+            f"the CT shows metal {steps_mm[metal[0]]:.1f} to {steps_mm[metal[-1]]:.1f} mm behind the entry: "
+            "where the skull ends there is not known",
+            limit=f"{METAL_HU:.0f} HU",
+            got=f"{largest_hu[metal].max():.0f} HU",
+        )
+
+
+def _hu_across(volume: Volume, trajectory: Trajectory, steps_mm: Array) -> Array:
+    """Return the HU (n, k) at each step in k places over the width of the drill, as air outside the CT."""
     from scipy import ndimage
 
     axis = np.asarray(trajectory.axis_ct, dtype=float)
@@ -138,7 +155,7 @@ def _mean_hu(volume: Volume, trajectory: Trajectory, steps_mm: Array) -> Array:
     places = np.asarray(trajectory.entry_mm) + steps_mm[:, None, None] * axis + offsets
     index = volume.geometry.to_index(places.reshape(-1, 3))
     sampled = ndimage.map_coordinates(volume.voxels, index.T, output=float, order=1, cval=-1000.0)
-    return np.asarray(sampled.reshape(len(steps_mm), -1).mean(axis=1))
+    return np.asarray(sampled.reshape(len(steps_mm), -1))
 
 
 def _face_mm(steps_mm: Array, hu: Array, first: int) -> float:

@@ -33,11 +33,13 @@ from ronna_hw.devices import JointMove, LineMove, Motion
 from ronna_hw.devices.contact import (
     BORE_SPEED_MM_S,
     INSERTION_SPEED_MM_S,
+    Drilled,
     DrillLimits,
     Inserted,
     Insertion,
     InsertsInstruments,
     StatesForceError,
+    TellsFeed,
 )
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
@@ -124,6 +126,7 @@ class Assistant(SupervisedArm):
         self._around: tuple[Surroundings, JointVector | None] | None = None  # robot frame
         self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
         self._drill: DrillPlan | None = None  # of the motion under way, if it is one of a drill
+        self.drilled: Drilled | None = None  # of its feed so far, or the last one; None if nothing was fed
 
     @property
     def carries(self) -> str:
@@ -313,12 +316,20 @@ class Assistant(SupervisedArm):
         """Record that the drill in the holder is about to be switched on, or was switched off, and where."""
         if (held := self.history.held) is None or held.drill is None:
             return
-        axis, reached_mm = self.place.axis, held.drill.reached_mm
-        if not may_turn and axis is not None:  # also from beside the axis: it is off in any case
-            clamp = self.flange_pose(self.joints_rad(), axis.arriving) @ self.flange_from_clamp
-            reached_mm = axis.travel_from_start_mm(clamp) - held.drill.entry_mm
+        reached_mm = held.drill.reached_mm
+        if not may_turn and self.place.axis is not None:  # also from beside the axis: it is off in any case
+            reached_mm = self.drill_tip_mm()
         drill = held.drill.model_copy(update={"may_turn": may_turn, "reached_mm": reached_mm})
         self._write_held(replace(held, drill=drill))
+
+    def drill_tip_mm(self, joints_rad: JointVector | None = None) -> float:
+        """Return how far behind the entry the tip of the drill is at joint angles, by default the present."""
+        axis, held = self.place.axis, self.history.held
+        assert axis is not None, "the drill is on its axis"
+        assert held is not None, "the drill is in the holder"
+        assert held.drill is not None, "a drill is in the holder"
+        flange = self.flange_pose(self.joints_rad() if joints_rad is None else joints_rad, axis.arriving)
+        return axis.travel_from_start_mm(flange @ self.flange_from_clamp) - held.drill.entry_mm
 
     def drilled_mm(self, trajectory: str) -> float | None:
         """Return how far behind the entry a drill was before at a trajectory, None if none was."""
@@ -399,24 +410,19 @@ class Assistant(SupervisedArm):
         legs = self._lines_in(axis, travel_mm, guided)
         return self.supervised.carry_out(self._partial_motion(axis, travel_mm, legs, led))
 
-    def drill(self, axis: InsertionAxis, plan: DrillPlan) -> Inserted:
+    def drill(self, axis: InsertionAxis, plan: DrillPlan) -> None:
         """Feed the drill along the axis until it breaks through, at most to the plan's end.
 
-        Raises ARM-013 to ARM-015 as the arm, and what stops an insertion.
+        `drilled` tells of the feed, whichever way it ends. Raises ARM-013 to ARM-015 as the arm, and what
+        stops an insertion.
         """
-        self.inserted = None
+        self.drilled = None
         self._drill = plan
         try:
             line = self._line(axis, plan.to_mm, plan.feed_mm_s)
             self.supervised.carry_out(self._partial_motion(axis, plan.to_mm, [line], "the drill"))
         finally:
             self._drill = None
-        return self._watched_end()
-
-    def _watched_end(self) -> Inserted:
-        """Return the end of the insertion whose force was watched."""
-        assert self.inserted is not None, "the force on a drill is watched"
-        return self.inserted
 
     def _partial_motion(
         self, axis: InsertionAxis, travel_mm: float, legs: Sequence[LineMove], led: str
@@ -468,17 +474,23 @@ class Assistant(SupervisedArm):
             return self._arm.read_state()
         limit_N = self.insertion_limit_N if self._drill is None else self._drill.limit_N
         if limit_N is not None and (insertion := self.force_limited(leg, motion, limit_N)):
-            inserted = self._arms.insert(self.role, insertion)
+            before = self._fed
+            try:
+                inserted = self._arms.insert(self.role, insertion)
+            finally:
+                if (fed := self._fed) is not None and fed is not before:
+                    self.drilled = fed if self.drilled is None else fed.after(self.drilled)
             ends = [one for one in (self.inserted, inserted) if one is not None]  # of stretches so far
             peaks_N = [one.peak_force_N for one in ends if one.peak_force_N is not None]
-            self.inserted = replace(
-                inserted,
-                peak_force_N=max(peaks_N, default=None),
-                drilled_s=sum(one.drilled_s for one in ends),
-                slowed_s=sum(one.slowed_s for one in ends),
-            )
+            self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
             return inserted.reading
         return self._arms.move(self.role, leg, with_instrument=True)
+
+    @property
+    def _fed(self) -> Drilled | None:
+        """Feed of a drill in the arm's last insertion."""
+        arm = self._arm
+        return arm.drilled if isinstance(arm, TellsFeed) else None
 
     def has_passed(self, leg: Motion, motion: PlannedMotion) -> bool:
         """Return whether the instrument is beyond a leg of its way, as when it was stopped on a later one.

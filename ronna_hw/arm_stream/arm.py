@@ -29,7 +29,6 @@ from ronna_hw.arm_stream.records import (
     NO_STATE,
     ForceLimit,
     LinkState,
-    MotionResult,
     RecordedCycle,
     StopOrder,
     StreamPhase,
@@ -38,7 +37,7 @@ from ronna_hw.arm_stream.statistics import link_statistics
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads
 from ronna_hw.devices.capabilities import ByteSink, Fact, StreamCycles
-from ronna_hw.devices.contact import Inserted, Insertion
+from ronna_hw.devices.contact import Drilled, DrillLimits, Inserted, Insertion
 from ronna_hw.devices.lifecycle import (
     READABLE,
     RUNNING,
@@ -91,6 +90,7 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
         self._follower = MotionFollower(connections, watch, limits.cycle_s)
         self._readings = StreamReadings(connections, senses_force=self.senses_force)
         self._stated: tuple[S | None, tuple[Fact, ...]] = None, ()  # the last state, and its facts
+        self._drilled: Drilled | None = None
 
     @abstractmethod
     def _start_stream(self, timeout_s: float) -> None:
@@ -326,6 +326,7 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
             raise FORCE_NOT_SENSED(
                 f"{self._name}: this arm does not sense the force on its tool", limit=f"{limit_N:g} N"
             )
+        self._drilled = None
         self._require("insert", (Lifecycle.ACTIVE,))
         if limit_N is not None:
             self._await_tare()
@@ -334,23 +335,38 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
         before = self.read_state().joints_rad
         goes_on = has_begun(self.kinematics, start_rad, insertion)
         drill = drill_watch(self.kinematics, start_rad, insertion)
-        reading = self._move("insert", line, timeout_s, ForceLimit(limit_N or 0.0, goes_on, drill))
+        cycle_s, number = self.limits(self._stream_mode()).cycle_s, self.connections.link.state.command_number
+        try:
+            reading = self._move("insert", line, timeout_s, ForceLimit(limit_N or 0.0, goes_on, drill))
+        finally:
+            if insertion.drill is not None:
+                self._drilled = self._read_drilled(insertion.drill, cycle_s, number)
         travel_mm = travel_along_axis_mm(self.kinematics, before, reading.joints_rad, insertion)
-        state = self.connections.link.state
-        peak_N = state.peak_force_N if limit_N is not None else None
-        if drill is None:
-            return Inserted(reading, travel_mm, peak_N)
-        cycle_s = self.limits(self._stream_mode()).cycle_s
-        return Inserted(
-            reading,
-            travel_mm,
-            peak_N,
-            broke_through=state.result is MotionResult.THROUGH,
-            met_bone=state.result is not MotionResult.BONELESS,
+        peak_N = self.connections.link.state.peak_force_N if limit_N is not None else None
+        return Inserted(reading, travel_mm, peak_N)
+
+    @property
+    def drilled(self) -> Drilled | None:
+        return self._drilled
+
+    def _read_drilled(self, limits: DrillLimits, cycle_s: float, before: int) -> Drilled | None:
+        """Read how a drill was fed by a command after that number; None if none began, or it is not known."""
+        try:
+            state = self.connections.link.state
+        except (RonnaError, OSError, ValueError, MailboxTorn):  # what ended the feed is reported
+            return None
+        if state.command_number == before or state.result.is_refused:
+            return None
+        return Drilled(
+            joints_rad=state.measured_rad,
+            peak_force_N=state.peak_force_N,
             side_force_N=state.side_force_N,
-            slowed_s=state.slowed_cycles * cycle_s,
+            met_bone=state.is_in_bone,
+            broke_through=state.is_through,
+            free_mm=state.free_share * limits.free_mm,
             drilled_s=state.drilled_cycles * cycle_s,
-            drilled_N=state.drilled_N,
+            slowed_s=state.slowed_cycles * cycle_s,
+            forces_N=state.drilled_N,
         )
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:

@@ -141,6 +141,15 @@ class StreamFaults:
                 action="Switch the drill off. Look what presses on guide, drill or holder, and whether the "
                 f"drill slides on oblique bone. {ForceLimitExceeded.action}",
             )
+        if state.result is MotionResult.HIDDEN and force.drill is not None:
+            return ForceLimitExceeded(
+                f"{self.name}: a force across its axis hides whether bone resists the drill, at "
+                f"{self.axes_text(state)}",
+                limit=f"{force.drill.free_N:g} N along it, less {force.drill.friction:g} of the force across",
+                got=f"up to {state.side_force_N:.1f} N across",
+                action="Switch the drill off. The skull may be open there. Look what presses on guide, drill "
+                f"or holder. {ForceLimitExceeded.action}",
+            )
         return ForceLimitExceeded(
             f"{self.name}: the force on the tool stopped the motion at {self.axes_text(state)}",
             limit=f"{force.limit_N:g} N",

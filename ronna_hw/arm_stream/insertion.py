@@ -103,6 +103,10 @@ def drill_watch(kinematics: Kinematics, start_rad: JointVector, insertion: Inser
             expected=f"above 0, at most the limit of {forces_N[-1]:g} N",
             got=f"{drill.side_N:g} N",
         )
+    if not 0.0 <= drill.friction <= 1.0:
+        raise INSERTION_INVALID(
+            "the friction of a drill", expected="0 to 1 of the force across it", got=f"{drill.friction:g}"
+        )
     tool = kinematics.flange_pose(start_rad) @ insertion.flange_from_tool
     rest_mm = max(float((tool.inverse() @ insertion.target).translation_mm[2]), LEAST_DRILLED_MM)
     return DrillWatch(
@@ -113,8 +117,10 @@ def drill_watch(kinematics: Kinematics, start_rad: JointVector, insertion: Inser
         fall_share=drill.fall_share,
         earliest=1.0 - drill.earliest_mm / rest_mm,
         free=drill.free_mm / rest_mm,
+        bone_from=1.0 - drill.bone_from_mm / rest_mm,
         bone_by=1.0 - drill.bone_by_mm / rest_mm,
         side_N=drill.side_N,
+        friction=drill.friction,
         axis=vector3(insertion.target.rotation_matrix[:, 2]),
     )
 

@@ -209,7 +209,7 @@ class MotionFollower(Generic[S]):
                 self._watch.raise_any()
                 raise self._faults.not_finished_error(start, link.state, timeout_s)
         self._watch.raise_any()
-        if state.result in (MotionResult.FORCE, MotionResult.STALLED, MotionResult.ASIDE):
+        if state.result.is_by_force:
             raise self._faults.force_error(state, move.force)
         if state.result is MotionResult.STOPPED:
             raise self._faults.errors.stopped(

@@ -116,6 +116,17 @@ class MotionResult(IntEnum):
     STALLED = 12  # stopped on the way because a drill did not cut, and settled
     BONELESS = 13  # stopped on the way because a drill had met no bone, and settled
     ASIDE = 14  # stopped on the way because a force across its axis pushed a drill, and settled
+    HIDDEN = 15  # stopped on the way because such a force hid whether bone resists, and settled
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether the motion has not begun."""
+        return self.name.startswith("REFUSED_")
+
+    @property
+    def is_by_force(self) -> bool:
+        """Whether a force on the tool stopped the motion, with nothing known to be well."""
+        return self in (MotionResult.FORCE, MotionResult.STALLED, MotionResult.ASIDE, MotionResult.HIDDEN)
 
 
 class Choice(IntEnum):
@@ -233,6 +244,9 @@ class LinkState:
     slowed_cycles: Annotated[int, "Q"] = 0  # of these, with less than the planned feed
     drilled_N: Annotated[tuple[float, ...], f"{BINS}d"] = (0.0,) * BINS  # largest forces along its path
     side_force_N: float = 0.0  # largest change across the axis of the last motion of a drill
+    is_in_bone: bool = False  # it has met bone
+    is_through: bool = False  # it has broken through
+    free_share: float = 0.0  # way up to where it is on which nothing resisted, of that of a breakthrough
     carries_loads: bool = False  # the last telegram has signals of the load
     load_since: Annotated[int, "Q"] = 0  # first cycle of the present standstill whose load signals are summed
     load_cycles: Annotated[int, "Q"] = 0  # how many they are by now; 0 while the arm moves

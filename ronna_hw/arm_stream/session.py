@@ -352,6 +352,8 @@ class StreamSession(ABC, Generic[M, E]):
         if self._drill is not None:
             state.drilled_cycles, state.slowed_cycles = self._drilled_cycles, self._drill.slowed_cycles
             state.drilled_N, state.side_force_N = tuple(self._drill.forces_N), self._drill.peak_side_N
+            state.is_in_bone, state.is_through = self._drill.in_bone, self._drill.has_broken_through
+            state.free_share = self._drill.free_share
         if (violation := self.violation) is not None:
             state.violation_kind = violation.kind
             state.violation_axis = violation.axis
@@ -407,12 +409,10 @@ class StreamSession(ABC, Generic[M, E]):
         ):
             return MotionResult.REFUSED_LOADED
         self._is_force_exceeded, self._drilled_cycles = False, 0
-        was_in_bone = self._drill is not None and self._drill.in_bone
-        self._drill = (
-            None
-            if force.drill is None
-            else DrillFeed(force.drill, self._cycle_s, in_bone=force.goes_on and was_in_bone)
-        )
+        before, self._drill = self._drill if force.goes_on else None, None
+        if force.drill is not None:
+            was_in_bone, free_share = (False, 0.0) if before is None else (before.in_bone, before.free_share)
+            self._drill = DrillFeed(force.drill, self._cycle_s, in_bone=was_in_bone, free_share=free_share)
         try:
             if isinstance(motion, Move):
                 points.start(motion.plan, self._speed, command.surroundings)
@@ -480,6 +480,8 @@ class StreamSession(ABC, Generic[M, E]):
             return MotionResult.STALLED
         if self._drill is not None and self._drill.has_missed_bone:
             return MotionResult.BONELESS
+        if self._drill is not None and self._drill.is_hidden:
+            return MotionResult.HIDDEN
         return MotionResult.STOPPED
 
     def _check_stop(self, stop_word: int) -> None:

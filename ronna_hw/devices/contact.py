@@ -6,13 +6,13 @@ Small protocols: an arm without a force estimate inserts without a force limit, 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_MM_S
 from ronna_hw.devices.readings import ArmReading
-from ronna_hw.vectors import Vector3
+from ronna_hw.vectors import JointVector, Vector3
 
 if TYPE_CHECKING:
     from ronna_hw.frames import Transform
@@ -33,8 +33,9 @@ class DrillLimits:
 
     Between `slow_N` and the force limit the feed is slowed, and rests. Beyond `earliest_mm` before the target
     a fall of the force counts, elsewhere only a way on which nothing resists. Without `touch_N` up to
-    `bone_by_mm` before the target the feed ends there. All of these go by the force along the axis; more than
-    `side_N` across it stops the drill.
+    `bone_by_mm` before the target the feed ends there; from `bone_from_mm` before it on, `free_N` is bone as
+    well. All of these go by the force along the axis, less the `friction` that the one across it can make;
+    more than `side_N` across it stops the drill.
     """
 
     slow_N: float
@@ -43,8 +44,10 @@ class DrillLimits:
     fall_share: float
     earliest_mm: float
     free_mm: float
+    bone_from_mm: float
     bone_by_mm: float
     side_N: float
+    friction: float
 
 
 @dataclass(frozen=True)
@@ -74,12 +77,32 @@ class Inserted:
     reading: ArmReading
     travel_mm: float  # along the axis, positive in its direction; by the measured joints
     peak_force_N: float | None  # largest change of the force; None if the arm senses none
-    broke_through: bool = False  # of a drill: it ended before the target
-    met_bone: bool = True  # of a drill: else it ended where bone should have been felt
-    side_force_N: float = 0.0  # of a drill: largest change of the force across its axis
-    slowed_s: float = 0.0  # of a drill: with less than the planned feed
-    drilled_s: float = 0.0
-    drilled_N: tuple[float, ...] = ()  # largest forces in equal parts of the way to the target
+
+
+@dataclass(frozen=True)
+class Drilled:
+    """Feed of a drill, whichever way it ended."""
+
+    joints_rad: JointVector  # as measured last
+    peak_force_N: float  # largest change of the force
+    side_force_N: float  # largest change of the force across its axis
+    met_bone: bool
+    broke_through: bool
+    free_mm: float  # way up to its end on which nothing resisted, once bone was met
+    drilled_s: float
+    slowed_s: float  # of that, with less than the planned feed
+    forces_N: tuple[float, ...]  # largest ones along the axis in equal parts of the way to the target
+
+    def after(self, earlier: Drilled) -> Drilled:
+        """Return both feeds as one that was halted in between."""
+        return replace(
+            self,
+            peak_force_N=max(self.peak_force_N, earlier.peak_force_N),
+            side_force_N=max(self.side_force_N, earlier.side_force_N),
+            met_bone=self.met_bone or earlier.met_bone,
+            drilled_s=self.drilled_s + earlier.drilled_s,
+            slowed_s=self.slowed_s + earlier.slowed_s,
+        )
 
 
 @runtime_checkable
@@ -97,6 +120,18 @@ class InsertsInstruments(Protocol):
         limit that the arm cannot watch, ARM-014 for a force on the tool at the start, and ARM-015 when the
         force limit stopped it: the arm is then in HOLD where it stopped, and nothing withdraws by itself.
         Otherwise like `RobotArm.move`.
+        """
+
+
+@runtime_checkable
+class TellsFeed(Protocol):
+    """Arm that tells how it fed a drill."""
+
+    @property
+    def drilled(self) -> Drilled | None:
+        """Feed of a drill in the last call of `insert`, also one that raised.
+
+        None if nothing was fed, or that is not known.
         """
 
 

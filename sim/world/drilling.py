@@ -1,10 +1,13 @@
 """Drill in the holder of an arm, and the skull under it: the thrust, and how deep the opening is.
 
 Drill, arm and holder yield elastically; what the edge removes in a time follows from the thrust. So a drill
-that stalls, or is pressed into undrilled bone, meets a force that grows with its way.
+that stalls, or is pressed into undrilled bone, meets a force that grows with its way. A force that presses
+it aside in its guide adds friction, at rest as well; of the way out, where it would pull, no limit is kept.
 """
 
 from __future__ import annotations
+
+from math import hypot
 
 import numpy as np
 
@@ -67,12 +70,13 @@ class DrilledSkull:
         self._room, self._board = ShiftedRoom(world), FaultBoard(world, DEVICE)
         holder = world.scene.holders.get(role)
         self._flange_from_clamp = None if holder is None else matrix_of(holder.flange_from_clamp)
+        self._friction = 0.0 if holder is None else holder.drill_friction
         self._site, self._thrust = "", ThrustModel()
         self._before_ns = 0
         self.side_N = NO_SIDE  # across the drill, along x and y of the clamp
 
     def thrust_N(self) -> float:
-        """Return the force of this moment against the drill, along its axis; `side_N` is that across it."""
+        """Return the force of this moment against the drill, with friction; `side_N` is that across it."""
         self.side_N = NO_SIDE
         held = self._world.held_drill() if self._flange_from_clamp is not None else None
         if held is None:
@@ -93,7 +97,7 @@ class DrilledSkull:
                     self.side_N[1] + float(one.arguments[1]),
                 )
             self._world.note_opening(self._site, self._thrust.bottom_mm, depth_mm - tables.inside_mm)
-        return thrust_N
+        return thrust_N + self._friction * hypot(*self.side_N)
 
     def _begin(self, site: str) -> None:
         """Begin at a site, where the opening may be begun already."""

@@ -38,7 +38,7 @@ from ronna_hw.devices import (
 )
 from ronna_hw.devices.axis_loads import TellsLoads
 from ronna_hw.devices.capabilities import RecordsBytes
-from ronna_hw.devices.contact import CarriesLoad, FollowsHand, InsertsInstruments
+from ronna_hw.devices.contact import CarriesLoad, FollowsHand, InsertsInstruments, TellsFeed
 from ronna_hw.devices.lifecycle import GuardedDevice
 from studies import parameter_sweep
 from studies.plugins import contracts
@@ -135,9 +135,15 @@ def devices() -> str:
             interfaces,
             Part(readings.__name__, own),
             _driver_part(PolarisTracker, OpticalTracker),
-            _driver_part(KukaRsiArm, RobotArm, InsertsInstruments, TellsLoads),
+            _driver_part(KukaRsiArm, RobotArm, InsertsInstruments, TellsFeed, TellsLoads),
             _driver_part(
-                UniversalRobotsArm, RobotArm, InsertsInstruments, FollowsHand, CarriesLoad, TellsLoads
+                UniversalRobotsArm,
+                RobotArm,
+                InsertsInstruments,
+                TellsFeed,
+                FollowsHand,
+                CarriesLoad,
+                TellsLoads,
             ),
             _driver_part(BaslerStereoPair, StereoPair),
         ]

@@ -77,7 +77,7 @@ def assistant_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
 
 def _why_a_hand_drills(theatre: TheatreFile) -> str:
     """Return what keeps the assistant from drilling, as far as the theatre file tells it, or ''."""
-    from procedures.steps.clinical.two_arms.assisted_drilling import FREE_N
+    from procedures.steps.clinical.two_arms.drill_plan import FREE_N
 
     arm = theatre.robot.get(ASSISTANT)
     if arm is None:

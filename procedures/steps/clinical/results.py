@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import asdict
+from enum import StrEnum
 from typing import Self
 
 import numpy as np
@@ -312,13 +313,29 @@ class AssistedInsertion(Values):
     gap_mm: NonNegativeFloat = Field(description="Between depth stop and guide, as read.")
 
 
+class FeedEnd(StrEnum):
+    """How the last feed of a drill ended."""
+
+    ENDED = "ended"
+    INTERRUPTED = "interrupted"  # by a force, a stop or a fault
+    UNKNOWN = "not recorded"  # it was begun
+
+
 class CranialOpening(Values):
     """Opening of the skull by the assistant's drill: depths from the entry along the axis, forces, times."""
 
     planned_outside_mm: float = Field(description="Outer face of the skull in the CT.")
     planned_inside_mm: float = Field(description="Inner face of the skull in the CT.")
     deepest_mm: float = Field(description="Where the stop of the drill would have rested on the guide.")
+    end: FeedEnd = Field(
+        default=FeedEnd.ENDED,
+        description="How the last feed ended. If that is not recorded, it may have gone to the deepest "
+        "place; depth, forces and times are those before it.",
+    )
     depth_mm: float = Field(description="Tip of the drill where it stopped, by the joints.")
+    resisted_mm: float | None = Field(
+        default=None, description="Tip of the drill where bone last resisted; none if none did."
+    )
     further_inside_mm: float | None = Field(
         description="Inner face by another reading of the CT that has it deeper; none where there is but one."
     )
@@ -343,7 +360,7 @@ class CranialOpening(Values):
     slowed_s: NonNegativeFloat = Field(description="Of that, with less than the full feed.")
     from_mm: float = Field(description="Where the feed began.")
     forces_N: tuple[NonNegativeFloat, ...] = Field(
-        description="Largest forces in equal parts of the way from there to the deepest place."
+        description="Largest forces of the last feed, in equal parts of the way to the deepest place."
     )
     off_axis_mm: NonNegativeFloat = Field(description="Over the guide, from its axis, by the joints of both.")
     seen_apart_mm: NonNegativeFloat | None = Field(

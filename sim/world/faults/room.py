@@ -188,7 +188,7 @@ DRILL_ASIDE = declare_lasting(
     "drill_aside",
     "drill pushed aside SIGNED SIGNED N",
     "In the bone, the drill in the assistant's holder is pressed aside with that force, along x and y of the "
-    "clamp. The sensor shows it; nothing bends.",
+    "clamp. The sensor shows it with its friction; nothing bends.",
 )
 WRONG_LOAD = declare_lasting(
     "wrong_load",

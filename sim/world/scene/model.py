@@ -259,6 +259,8 @@ class Mount(Strict):
 
 
 SQUARE = sqrt(0.5)  # of a quaternion: a quarter turn
+# Hard steel on hard steel under oil: 0.23 at rest, 0.1 sliding (Kirk-Othmer, Lubrication and Lubricants).
+DRILL_FRICTION = 0.2
 
 
 class ForceSensorTruth(Strict):
@@ -318,6 +320,11 @@ class AssistantTruth(Strict):
     )
     drills: bool = Field(
         default=False, description="Whether the theatre file has the assistant drill, not a hand."
+    )
+    drill_friction: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=DRILL_FRICTION,
+        description="Share of a force across its drill that resists the feed as friction in the guide. A "
+        "drill that turns there by itself, not in a sleeve, has hardly any along its axis.",
     )
 
 

@@ -10,7 +10,7 @@ from simulated_case import LIMIT_S, SimulatedCase
 from procedures.journal.journal import Entry, Line
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.roles import ASSISTANT
-from ronna_hw.wire.room_tasks import REST_DRILL, TEST_WEIGHT, TURN_DRILL
+from ronna_hw.wire.room_tasks import DRILL, REST_DRILL, TEST_WEIGHT, TURN_DRILL
 from sim.world.process import load_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
@@ -30,6 +30,12 @@ def is_motion(line: Line) -> bool:
 
 def is_insertion(line: Line) -> bool:
     return is_motion(line) and (line["arm"], line["what"]) == (ASSISTANT, "insert")
+
+
+def feeds(case: SimulatedCase) -> list[tuple[object, object]]:
+    """How each record of an opening has the end of its feed, and whether the force fell."""
+    openings = [line["opening"] for line in case.journal if line.get("opening")]
+    return [(one["end"], one["force_fell"]) for one in openings]  # type: ignore[index,call-overload]  # lines of JSON
 
 
 @pytest.mark.hazard(66)
@@ -102,8 +108,7 @@ def test_after_a_breakthrough_that_was_not_accepted_no_repetition_leads_the_dril
     ended = case.run(*CASE, faults="since step == at_target: room bone thicker -2.8 mm", answers=NOT_DRILLED)
     assert ended.returncode == EXIT_REFUSED, ended.stdout
     assert "the operator did not accept the opening at T1" in ended.stderr
-    openings = [line["opening"] for line in case.journal if line.get("opening")]
-    assert [one["force_fell"] for one in openings] == [True]  # type: ignore[index,call-overload]  # lines of JSON
+    assert feeds(case) == [("not recorded", False), ("ended", True)]
     before = len(case.journal)
     folder = str(case.run_folder)
     again = case.commands.run("ronna-procedure", "resume", folder, "--accept", "--json", timeout_s=LIMIT_S)
@@ -122,3 +127,23 @@ def test_a_drill_that_is_pressed_aside_in_the_bone_stops_and_says_so(case: Simul
     assert "a force across its axis pushes the drill" in ended.stderr
     failed = first(case.journal, lambda line: line["entry"] == Entry.FAILED)
     assert not any(map(is_motion, case.journal[failed:]))
+
+
+@pytest.mark.hazard(65)
+def test_where_a_force_across_hides_whether_bone_resists_the_drill_stops_and_a_hand_drills_on(
+    case: SimulatedCase,
+) -> None:
+    thin = "since step == at_target: room bone thicker -2.8 mm\nat 0 s: room drill pushed aside 7 0 N"
+    ended = case.run(*CASE, faults=thin)
+    assert ended.returncode == EXIT_SAFETY_STOP, ended.stdout
+    assert "ARM-015" in ended.stderr
+    assert "hides whether bone resists" in ended.stderr
+    assert feeds(case) == [("not recorded", False), ("interrupted", False)]
+    before = len(case.journal)
+    folder = str(case.run_folder)
+    done = case.commands.run("ronna-procedure", "resume", folder, "--accept", "--json", timeout_s=LIMIT_S)
+    assert done.returncode == 0, done.stderr
+    after = case.journal[before:]
+    assert TURN_DRILL not in {line.get("task") for line in after}
+    assert DRILL in {line.get("task") for line in after}
+    assert "a hand drills: drilling was begun there" in str(after)

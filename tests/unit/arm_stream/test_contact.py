@@ -75,8 +75,10 @@ DRILL = DrillWatch(
     fall_share=0.4,
     earliest=1.0,
     free=0.9,
+    bone_from=1.0,
     bone_by=0.5,
     side_N=8.0,
+    friction=0.0,
     axis=(0.0, 0.6, -0.8),
 )
 
@@ -100,6 +102,22 @@ def test_a_drill_is_judged_by_the_force_along_its_axis(
     stand.force_N = force_N
     stand.run()
     assert stand.session.result is end
+
+
+@pytest.mark.hazard(65)
+def test_a_force_across_that_hides_whether_bone_resists_ends_the_feed_which_tells_where_bone_did() -> None:
+    stand = resting()
+    stand.move(force=ForceLimit(30.0, drill=DRILL._replace(friction=0.35, free=0.2)))
+    stand.cycles(50)
+    stand.force_N = (0.0, -6.0, 8.0)  # bone
+    stand.cycles(20)
+    stand.force_N = (7.0, -1.2, 1.6)  # 2 N along, 7 N across
+    stand.run()
+    state = stand.session.state(real_time=False, locked=False)
+    assert stand.session.result is MotionResult.HIDDEN
+    assert state.is_in_bone
+    assert not state.is_through
+    assert state.free_share >= 1.0
 
 
 @pytest.mark.hazard(56)

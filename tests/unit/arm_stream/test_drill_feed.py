@@ -30,8 +30,10 @@ class Drilled(NamedTuple):
     feed: DrillFeed
 
 
-def watch() -> DrillWatch:
+def watch(bottom_mm: float | None = None) -> DrillWatch:
+    """The watch of a feed, below an opening with its bottom there if one was begun."""
     length_mm = END_MM - BEGIN_MM
+    bone_by_mm = CT.outside_mm + 2.0 if bottom_mm is None else bottom_mm + 1.0
     return DrillWatch(
         slow_N=18.0,
         hold_N=27.6,
@@ -40,8 +42,10 @@ def watch() -> DrillWatch:
         fall_share=0.4,
         earliest=(EARLIEST_MM - BEGIN_MM) / length_mm,
         free=0.6 / length_mm,
-        bone_by=(CT.outside_mm + 2.0 - BEGIN_MM) / length_mm,
+        bone_from=1.0 if bottom_mm is None else (bottom_mm - BEGIN_MM) / length_mm,
+        bone_by=(bone_by_mm - BEGIN_MM) / length_mm,
         side_N=8.0,
+        friction=0.35,
         axis=AXIS,
     )
 
@@ -53,16 +57,25 @@ def against(force_N: float, side_N: float = 0.0) -> Vector3:
 
 
 def drill(
-    tables: SkullTables, *, harder: float = 1.0, turns: bool = True, scale: float = 1.0, side_N: float = 0.0
+    tables: SkullTables,
+    *,
+    harder: float = 1.0,
+    turns: bool = True,
+    scale: float = 1.0,
+    side_N: float = 0.0,
+    friction: float = 0.0,
+    bottom_mm: float | None = None,
 ) -> Drilled:
     """Feed a drill into a skull until the feed ends, or its way; from 1 mm on a force presses it aside."""
-    feed, thrust = DrillFeed(watch(), CYCLE_S, in_bone=False), ThrustModel(harder)
+    feed = DrillFeed(watch(bottom_mm), CYCLE_S, in_bone=False)
+    thrust = ThrustModel(harder, 0.0 if bottom_mm is None else bottom_mm)
     depth_mm, peak_N, cycles = BEGIN_MM, 0.0, 0
     while depth_mm < END_MM and not feed.has_ended:
         depth_mm += feed.share * FEED_MM_S * CYCLE_S
         force_N = scale * thrust.advance(tables, depth_mm, CYCLE_S if turns else 0.0)
         pressed_N = side_N if depth_mm > BEGIN_MM + 1.0 else 0.0
-        feed.note(against(force_N, pressed_N), (depth_mm - BEGIN_MM) / (END_MM - BEGIN_MM))
+        felt_N = against(force_N + friction * pressed_N, pressed_N)
+        feed.note(felt_N, (depth_mm - BEGIN_MM) / (END_MM - BEGIN_MM))
         peak_N, cycles = max(peak_N, force_N), cycles + 1
     return Drilled(depth_mm, peak_N, cycles * CYCLE_S, feed)
 
@@ -140,11 +153,68 @@ def test_a_force_across_the_drill_is_no_bone_for_a_sensor_whose_axis_along_it_is
 
 
 @pytest.mark.hazard(65)
-def test_a_force_across_the_drill_hides_no_breakthrough() -> None:
-    drilled = drill(CT, side_N=7.0)
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_force_across_the_drill_that_leaves_the_diploe_to_be_felt_hides_no_breakthrough(
+    friction: float,
+) -> None:
+    drilled = drill(CT, side_N=2.5, friction=friction)
     assert drilled.feed.has_broken_through
     assert drilled.depth_mm == pytest.approx(drill(CT).depth_mm, abs=0.05)
-    assert drilled.feed.peak_side_N == pytest.approx(7.0)
+    assert drilled.feed.peak_side_N == pytest.approx(2.5)
+
+
+@pytest.mark.hazard(65)
+def test_where_it_may_be_friction_or_diploe_that_resists_the_feed_ends_and_is_no_breakthrough() -> None:
+    feed = drill(CT, side_N=7.0).feed
+    assert feed.is_hidden
+    assert not feed.has_broken_through
+
+
+@pytest.mark.hazard(65)
+@pytest.mark.parametrize("friction", [0.2, 0.4])
+@pytest.mark.parametrize("side_N", [2.5, 5.0, 7.0, 7.9])
+def test_friction_of_a_drill_pressed_in_its_guide_takes_it_no_deeper_behind_a_thin_skull(
+    side_N: float, friction: float
+) -> None:
+    true = SkullTables.of(-2.8)
+    drilled = drill(true, side_N=side_N, friction=friction)
+    assert drilled.feed.has_ended
+    assert drilled.depth_mm - true.inside_mm < 1.8
+
+
+@pytest.mark.hazard(66)
+def test_friction_is_no_bone_for_a_sensor_whose_axis_along_the_drill_is_dead() -> None:
+    drilled = drill(CT, scale=0.02, side_N=7.9, friction=0.4)
+    assert drilled.feed.has_missed_bone
+    assert not drilled.feed.in_bone
+
+
+@pytest.mark.hazard(65)
+def test_below_an_opening_begun_earlier_the_diploe_is_bone_and_what_is_open_is_fed_1_mm() -> None:
+    in_diploe_mm = CT.diploe_mm + 0.5
+    through = drill(CT, bottom_mm=in_diploe_mm)
+    assert through.feed.has_broken_through
+    assert through.depth_mm == pytest.approx(drill(CT).depth_mm, abs=0.1)
+    thin = SkullTables.of(-2.8)
+    bottom_mm = thin.inside_mm + 1.0  # its lips are through as well
+    opened = drill(thin, bottom_mm=bottom_mm)
+    assert opened.feed.has_missed_bone
+    assert not opened.feed.has_broken_through
+    assert opened.depth_mm == pytest.approx(bottom_mm + 1.0, abs=0.01)
+
+
+@pytest.mark.hazard(65)
+def test_the_way_on_which_nothing_resisted_goes_on_over_a_halt() -> None:
+    feed = DrillFeed(watch(), CYCLE_S, in_bone=True)
+    free = watch().free
+    feed.note(against(10.0), 0.1)
+    feed.note(against(0.3), 0.1 + 0.9 * free)
+    assert feed.free_share == pytest.approx(0.9)
+    on = DrillFeed(watch(), CYCLE_S, in_bone=feed.in_bone, free_share=feed.free_share)
+    on.note(against(0.3), 0.05 * free)
+    assert not on.has_broken_through
+    on.note(against(0.3), 0.15 * free)
+    assert on.has_broken_through
 
 
 @pytest.mark.hazard(66)

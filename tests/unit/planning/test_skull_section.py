@@ -8,12 +8,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.planning.errors import MetalInSkull
 from procedures.planning.skull_section import measure_skull
 from procedures.strategies.trajectory import Trajectory
 
 AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 # Beginning (mm) and HU of the layers from the air inwards: skin, fat and muscle, two tables about a diploe.
 HEAD = ((0.0, 40.0), (5.7, 1450.0), (7.5, 650.0), (10.7, 1450.0), (12.5, 30.0))
+SATURATED_HU = 3071.0  # of 12 bits
 INTO_HEAD = Trajectory("T1", (20.0, 20.0, 10.0), (20.0, 20.0, 60.0))
 
 
@@ -26,6 +28,7 @@ def volume(layers: tuple[tuple[float, float], ...], slice_mm: float, blur_mm: fl
         hu[depths >= begin_mm] = value
     seen = ndimage.gaussian_filter1d(hu, blur_mm / fine_mm)
     centres_mm = np.arange(0.0, 75.0, slice_mm)
+    seen = np.minimum(seen, SATURATED_HU)
     voxels = np.repeat(np.interp(centres_mm, depths + 10.0, seen), 400).reshape(-1, 20, 20)
     spacing = np.array([slice_mm, 2.0, 2.0])
     geometry = VoxelGeometry(voxels.shape, np.zeros(3), AXES, spacing)
@@ -46,6 +49,31 @@ def test_an_air_cell_in_the_bone_is_no_inside() -> None:
     assert found is not None
     assert found.inside_mm == pytest.approx(12.5, abs=0.3)
     assert "an air cell" in found.doubt
+
+
+@pytest.mark.hazard(65)
+@pytest.mark.parametrize("slice_mm", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize(
+    "plate_mm", [(12.5, 14.0), (4.0, 5.7), (8.0, 9.5)], ids=["inside", "outside", "diploe"]
+)
+def test_metal_in_the_skull_or_against_it_leaves_its_inside_unknown(
+    plate_mm: tuple[float, float], slice_mm: float
+) -> None:
+    begin_mm, end_mm = plate_mm
+    after_hu = [hu for at_mm, hu in HEAD if at_mm <= end_mm][-1]
+    layers = [one for one in HEAD if not begin_mm <= one[0] <= end_mm]
+    plated = tuple(sorted([*layers, (begin_mm, 8000.0), (end_mm, after_hu)]))
+    with pytest.raises(MetalInSkull, match=r"PLAN-035.*where the skull ends there is not known"):
+        measure_skull(volume(plated, slice_mm), INTO_HEAD)
+
+
+@pytest.mark.hazard(65)
+def test_dense_bone_is_no_metal_nor_is_a_clip_far_behind_the_skull() -> None:
+    dense = tuple((at_mm, 2000.0 if hu == 1450.0 else hu) for at_mm, hu in HEAD)
+    clip = ((28.0, 8000.0), (29.0, 30.0))
+    found = measure_skull(volume((*dense, *clip), 0.5), INTO_HEAD)
+    assert found is not None
+    assert found.inside_mm == pytest.approx(12.5, abs=0.3)
 
 
 @pytest.mark.hazard(65)

@@ -12,6 +12,7 @@ from sim.world.options import ArmRole
 from sim.world.process import load_scene
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of
 from sim.world.saved_world import SavedWorld
+from sim.world.scene.model import Scene
 from sim.world.skull import SkullTables
 from sim.world.staff import Staff, TaskRefused
 from sim.world.world import ArmState, World
@@ -21,9 +22,9 @@ SCENE = load_scene("mini", seed=3, dual=True)
 HOLDER = SCENE.holders[ROLE]
 
 
-def world_with_drill() -> tuple[World, Staff]:
-    world = World.create(SCENE, paced=False)
-    world.mount_tool(SCENE.mount.tool_number_guide)
+def world_with_drill(scene: Scene = SCENE) -> tuple[World, Staff]:
+    world = World.create(scene, paced=False)
+    world.mount_tool(scene.mount.tool_number_guide)
     staff = Staff(world, None)
     staff.work(DRILL_HOLDER, "T1", (STOP_MM,))
     return world, staff
@@ -97,8 +98,13 @@ def test_a_sensor_shows_the_thrust_with_its_errors_and_repeats_itself_when_dead(
 
 
 @pytest.mark.hazard(66)
-def test_a_sensor_shows_what_presses_the_drill_aside_in_the_bone_across_its_axis() -> None:
-    world, _ = world_with_drill()
+@pytest.mark.parametrize(("friction", "along_N"), [(0.0, 4.0), (0.2, 4.0 + 0.2 * 6.32)])
+def test_a_sensor_shows_what_presses_the_drill_aside_in_the_bone_across_its_axis_and_its_friction_along_it(
+    friction: float, along_N: float
+) -> None:
+    assert SCENE.assistant is not None
+    assistant = SCENE.assistant.model_copy(update={"drill_friction": friction})
+    world, _ = world_with_drill(SCENE.model_copy(update={"assistant": assistant}))
     world.set_fault_script("at 0 s: room drill pushed aside 6 -2 N")
     sensor = ForceSensor(world, ROLE)
     place_tip(world, 0.0)
@@ -106,7 +112,7 @@ def test_a_sensor_shows_what_presses_the_drill_aside_in_the_bone_across_its_axis
     place_tip(world, SkullTables.of().outside_mm + 0.1)
     change = np.mean([sensor.read(cycle) for cycle in range(400, 800)], axis=0) - before
     clamp = matrix_of(HOLDER.flange_from_clamp)[:3, :3]
-    np.testing.assert_allclose(clamp.T @ change[:3], [6.0, -2.0, -4.0], atol=0.4)
+    np.testing.assert_allclose(clamp.T @ change[:3], [6.0, -2.0, -along_N], atol=0.4)
 
 
 def test_a_test_weight_pulls_straight_down_by_the_scale_of_the_sensor_until_it_is_taken_off() -> None:

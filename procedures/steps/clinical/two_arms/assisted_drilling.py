@@ -3,20 +3,31 @@
 The drill's stop is set so that it rests on the guide just behind the skull as the CT shows it. The assistant
 leads the drill to in front of the bone, there the staff switch it on, and it is fed until the force shows the
 breakthrough. One that is too early or too late by the CT, or where the CT has two readings, is for the
-operator. The opening is recorded as soon as the feed has ended; where the force fell, no repetition feeds
-deeper. The drill is led out and put away before anything else goes through the guide.
+operator. The journal has a feed before it begins, and how deep it went as soon as it has ended, in whichever
+way: a repetition starts from there, and where the opening may be through none feeds deeper. The drill is led
+out and put away before anything else goes through the guide.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from contextlib import suppress
 
 from procedures.engine.context import StepContext
 from procedures.operator.question import Task
-from procedures.planning.skull_section import SkullSection, measure_skull
+from procedures.planning.errors import MetalInSkull
+from procedures.planning.skull_section import measure_skull
 from procedures.steps.clinical.ct_import import volume_of
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import CranialOpening
+from procedures.steps.clinical.results import CranialOpening, FeedEnd
+from procedures.steps.clinical.two_arms.drill_plan import (
+    BEFORE_BONE_MM,
+    FEED_MM_S,
+    FREE_N,
+    RESISTED_WITHIN_MM,
+    BegunOpening,
+    DrillDepths,
+    plan_feed,
+)
 from procedures.steps.clinical.two_arms.force_check import require_true_force
 from procedures.steps.clinical.two_arms.insertion_axis import ABOVE_GUIDE_MM
 from procedures.steps.clinical.two_arms.over_guide import (
@@ -28,9 +39,8 @@ from procedures.steps.clinical.two_arms.over_guide import (
     look_back,
 )
 from procedures.steps.clinical.two_arms.skull_opening import (
-    EARLY_MM,
-    TOUCH_N,
     accept_opening,
+    add_feed,
     find_doubt,
     require_bone,
 )
@@ -38,56 +48,16 @@ from procedures.steps.clinical.work_progress import STOP_LIMIT_MM, DepthStop
 from procedures.steps.errors import DEPTH_STOP_WRONG
 from procedures.workcell import InsertionAxis
 from procedures.workcell.arm_history import HeldDrill
-from procedures.workcell.assistant import DrillPlan, GuidedStretch
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, DrillLimits, Inserted
+from procedures.workcell.assistant import GuidedStretch
+from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
+from ronna_hw.errors import RonnaError
 from ronna_hw.wire.room_tasks import DRILL_HOLDER, TURN_DRILL
 
-# Safety against a drill fed too fast (U).
-FEED_MM_S = 0.5  # a stop from there takes a hundredth of a mm
-# Behind the inside of the skull by the CT the stop rests on the guide, and no set-point is beyond. It leaves
-# room for the point of the drill and what CT and arms err.
-# Safety against a drill that plunges (U).
-BEHIND_SKULL_MM = 2.5
-# Safety against a drill that is switched on in bone (U).
-BEFORE_BONE_MM = 2.0  # of the tip, where the drill is switched on: more than CT and arms err
-# Safety against a drill pressed until its limit trips (U).
-SLOW_SHARE = 0.6  # of the limit: from there on the feed is slowed
-# Across the axis: an arm of 80 N/mm yields by 0.1 mm, half of what the guide may move.
-# Safety against a drill that is pressed aside (U).
-SIDE_N = 8.0
-# Safety against a drill whose force says nothing: a wrong scale, a dead axis (U).
-BLIND_MM = 0.5  # by which a feed without bone may have been longer
-BONE_BY_MM = 2.0  # behind the skull's outside by the CT, or behind an opening begun earlier
-# Safety against a breakthrough that is not noticed (U).
-FREE_N = 1.0  # two standard errors of a sensor's force at most; diploe resists with 2 N (U)
-FALL_SHARE = 0.4  # of the force in the inner cortex: the point of the drill is through (U)
-FREE_MM = 0.6  # of feed without any resistance: thinner than any diploe without bone (U)
-
-
-class DrillDepths(NamedTuple):
-    """Depths behind the entry, and how far the clamp is from the start of its axis at depth 0."""
-
-    skull: SkullSection
-    at_entry_mm: float
-
-    @property
-    def deepest_mm(self) -> float:
-        return self.skull.inside_mm + BEHIND_SKULL_MM
-
-    @property
-    def from_mm(self) -> float:
-        return self.skull.outside_mm - BEFORE_BONE_MM
-
-    def bone_by_mm(self, begun_mm: float | None, *, met_bone: bool = True) -> float:
-        """Return where bone must have been felt; an opening begun earlier has none up to its bottom.
-
-        No repetition adds to a hole that was drilled blindly: one that goes no deeper than a first feed
-        without bone, or whose last feed has not `met_bone`.
-        """
-        bone_by_mm = self.skull.outside_mm + BONE_BY_MM
-        if begun_mm is None or begun_mm <= bone_by_mm + BLIND_MM:
-            return bone_by_mm
-        return min(begun_mm + (BONE_BY_MM if met_bone else 0.0), self.deepest_mm - BLIND_MM)
+# Of earlier feeds, for a repetition.
+KEPT = (
+    *("end", "depth_mm", "resisted_mm", "met_bone", "peak_force_N", "side_force_N"),
+    *("drilled_s", "slowed_s", "forces_N"),
+)
 
 
 def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpening | None:
@@ -106,16 +76,20 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
     earlier = None if recorded is None else CranialOpening.of_stage(recorded, trajectory)
     if earlier is not None and earlier.force_fell:
         return _keep_opening(context, earlier)
+    context.rest_drill()
+    begun = BegunOpening.of(assistant.drilled_mm(trajectory), earlier)
+    if begun is not None and (why := begun.why_by_hand(depths)):
+        _leave_to_hand(context, why)
+        return None
     stop_mm = stop.bore_mm + stop.standoff_mm + depths.deepest_mm
     limit_N = settings.drill_force_N
-    begun_mm = assistant.drilled_mm(trajectory)
 
     def ask(axis: InsertionAxis) -> str:
         skull, interruption = depths.skull, stages.interruption_at(trajectory)
-        begun = "" if begun_mm is None else f", with the tip {begun_mm:.1f} mm behind the entry"
-        if begun or interruption:
+        before = "" if begun is None else f", with the tip {begun.depth_mm:.1f} mm behind the entry"
+        if before or interruption:
             why = f": {interruption}" if interruption else ""
-            begun = f" DRILLING WAS BEGUN THERE{begun}, and interrupted{why}."
+            before = f" DRILLING WAS BEGUN THERE{before}, and interrupted{why}."
         doubt = f" CAUTION: {skull.doubt}." if skull.doubt else ""
         return (
             f"May the assistant bring the drill over the guide at {trajectory}, lead it at "
@@ -123,7 +97,7 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
             f"on, drill at {FEED_MM_S:g} mm/s? By the CT the skull is {skull.outside_mm:.1f} to "
             f"{skull.inside_mm:.1f} mm behind the entry; the drill ends where the force shows the "
             f"breakthrough, at {limit_N:g} N, or at {depths.deepest_mm:.1f} mm, where its stop rests on the "
-            f"guide.{doubt}{begun}"
+            f"guide.{doubt}{before}"
         )
 
     def load(context: StepContext) -> None:
@@ -140,14 +114,21 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
         Task(TURN_DRILL, f"switch the drill for {trajectory} on, and keep it running", trajectory)
     )
     context.progress(0.4, f"the assistant drills at {trajectory}")
-    met_bone_before = earlier is None or earlier.met_bone
-    plan = _plan_feed(depths, limit_N, depths.bone_by_mm(begun_mm, met_bone=met_bone_before))
-    drilled = assistant.drill(axis, plan)
-    depth_mm = assistant.require_on_axis() - depths.at_entry_mm
-    opening = _build_opening(depths, plan, over, drilled, depth_mm, assistant.force_error_N)
-    stages.record_opening(trajectory, opening.model_dump(mode="json"))
+    plan = plan_feed(depths, limit_N, begun)
+    unfed = _build_unfed(context, depths, over, limit_N)
+    if earlier is not None:
+        unfed = unfed.model_copy(update={name: getattr(earlier, name) for name in KEPT})
+    _record_opening(context, unfed.model_copy(update={"end": FeedEnd.UNKNOWN}))
+    try:
+        assistant.drill(axis, plan)
+    except BaseException:  # also an interruption: whatever cannot be recorded now stays of unknown depth
+        with suppress(RonnaError):
+            _record_end(context, unfed, FeedEnd.INTERRUPTED)
+        raise
+    opening = _record_end(context, unfed, FeedEnd.ENDED)
+    assistant.require_on_axis()
     context.rest_drill()
-    require_bone(context, opening, begun_mm)
+    require_bone(context, opening, None if begun is None else begun.bottom_mm)
     opening = accept_opening(context, opening)
     _put_drill_away(context, guided)
     return opening
@@ -170,7 +151,11 @@ def _find_depths(context: StepContext, stop: DepthStop) -> DrillDepths | None:
         )
         return None
     planned = context.result(CheckedPlan).trajectory(trajectory)
-    skull = measure_skull(volume_of(context), planned.trajectory)
+    try:
+        skull = measure_skull(volume_of(context), planned.trajectory)
+    except MetalInSkull as error:
+        context.find(f"at {trajectory} a hand drills: {error}")
+        return None
     if skull is None:
         context.find(f"at {trajectory} a hand drills: the CT shows no skull with an inside on its way")
         return None
@@ -201,23 +186,6 @@ def _load_drill(context: StepContext, stop_mm: float) -> None:
         )
 
 
-def _plan_feed(depths: DrillDepths, limit_N: float, bone_by_mm: float) -> DrillPlan:
-    limits = DrillLimits(
-        slow_N=SLOW_SHARE * limit_N,
-        touch_N=TOUCH_N,
-        free_N=FREE_N,
-        fall_share=FALL_SHARE,
-        earliest_mm=BEHIND_SKULL_MM + EARLY_MM,
-        free_mm=FREE_MM,
-        bone_by_mm=depths.deepest_mm - bone_by_mm,
-        side_N=SIDE_N,
-    )
-    at_entry_mm = depths.at_entry_mm
-    return DrillPlan(
-        at_entry_mm + depths.from_mm, at_entry_mm + depths.deepest_mm, FEED_MM_S, limit_N, limits
-    )
-
-
 def _keep_opening(context: StepContext, earlier: CranialOpening) -> CranialOpening:
     """Return an opening where the force fell earlier, once it counts as drilled: nothing is fed deeper."""
     close_earlier_way(context)
@@ -228,35 +196,64 @@ def _keep_opening(context: StepContext, earlier: CranialOpening) -> CranialOpeni
     return opening
 
 
-def _build_opening(
-    depths: DrillDepths, plan: DrillPlan, over: OverGuide, drilled: Inserted, depth_mm: float, error_N: float
+def _leave_to_hand(context: StepContext, why: str) -> None:
+    """Have what is in the guide led out and removed: the opening may be through, and a hand goes on there."""
+    close_earlier_way(context)
+    context.find(f"at {context.trajectory} a hand drills: {why}; THE SKULL MAY BE OPEN THERE, look first")
+    context.workcell.master.instrument.record_insertion(context.trajectory)
+
+
+def _build_unfed(
+    context: StepContext, depths: DrillDepths, over: OverGuide, limit_N: float
 ) -> CranialOpening:
-    """Return an opening as the force and the joints have it; nobody has accepted it yet."""
-    skull, fell = depths.skull, drilled.broke_through
-    goes_on = skull.further_mm is not None and depth_mm < skull.further_mm - EARLY_MM
-    opening = CranialOpening(
+    """Return the opening before the first feed: there is none."""
+    skull = depths.skull
+    return CranialOpening(
         planned_outside_mm=skull.outside_mm,
         planned_inside_mm=skull.inside_mm,
         further_inside_mm=skull.further_mm,
         deepest_mm=depths.deepest_mm,
-        depth_mm=depth_mm,
-        force_fell=fell,
-        broke_through=fell and not goes_on,
-        met_bone=drilled.met_bone,
+        end=FeedEnd.INTERRUPTED,
+        depth_mm=depths.from_mm,
+        force_fell=False,
+        broke_through=False,
+        met_bone=False,
         doubt="",
         accepted=False,
-        peak_force_N=drilled.peak_force_N or 0.0,
-        side_force_N=drilled.side_force_N,
-        force_limit_N=plan.limit_N,
-        force_error_N=error_N,
-        drilled_s=drilled.drilled_s,
-        slowed_s=drilled.slowed_s,
+        peak_force_N=0.0,
+        side_force_N=0.0,
+        force_limit_N=limit_N,
+        force_error_N=context.workcell.assistant.force_error_N,
+        drilled_s=0.0,
+        slowed_s=0.0,
         from_mm=depths.from_mm,
-        forces_N=drilled.drilled_N,
+        forces_N=(),
         off_axis_mm=over.off_axis_mm,
         seen_apart_mm=None if over.seen is None else over.seen.seen_mm,
     )
-    return opening.model_copy(update={"doubt": find_doubt(opening)[0]})
+
+
+def _record_end(context: StepContext, unfed: CranialOpening, end: FeedEnd) -> CranialOpening:
+    """Record an opening as the force and the joints have it after a feed; nobody has accepted it yet.
+
+    Where the arm tells of none and the tip is no deeper than before, nothing was fed.
+    """
+    assistant = context.workcell.assistant
+    if (fed := assistant.drilled) is not None:
+        opening = add_feed(unfed, fed, assistant.drill_tip_mm(fed.joints_rad), end)
+    elif assistant.drill_tip_mm() < unfed.from_mm + RESISTED_WITHIN_MM:
+        opening = unfed
+    else:
+        opening = unfed.model_copy(update={"end": FeedEnd.UNKNOWN})
+    return _record_opening(context, opening)
+
+
+def _record_opening(context: StepContext, opening: CranialOpening) -> CranialOpening:
+    """Record an opening, and return it with its doubt."""
+    doubted = opening.model_copy(update={"doubt": find_doubt(opening)[0]})
+    stages = context.workcell.master.instrument.stages
+    stages.record_opening(context.trajectory, doubted.model_dump(mode="json"))
+    return doubted
 
 
 def _put_drill_away(context: StepContext, guided: GuidedStretch) -> None:

@@ -8,7 +8,8 @@ from __future__ import annotations
 from procedures.engine.context import StepContext
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES, Question, Topic
-from procedures.steps.clinical.results import CranialOpening
+from procedures.steps.clinical.results import CranialOpening, FeedEnd
+from ronna_hw.devices.contact import Drilled
 from ronna_hw.text import format_against_limit
 
 # A breakthrough elsewhere about the inside of the skull by the CT is for the operator. The point of a drill
@@ -35,9 +36,35 @@ def describe_opening(opening: CranialOpening) -> str:
 
 
 def _describe_end(opening: CranialOpening) -> str:
+    if not opening.force_fell and opening.end is not FeedEnd.ENDED:
+        return "begun, to"
     if opening.broke_through:
         return "by the force it was through at"
     return "the force fell at" if opening.force_fell else "no breakthrough was seen up to"
+
+
+def add_feed(before: CranialOpening, fed: Drilled, depth_mm: float, end: FeedEnd) -> CranialOpening:
+    """Return an opening after another feed, which took the tip to a depth; nobody has accepted it yet."""
+    resisted_mm = [] if before.resisted_mm is None else [before.resisted_mm]
+    if fed.met_bone:
+        resisted_mm.append(depth_mm - fed.free_mm)
+    further_mm = before.further_inside_mm
+    goes_on = further_mm is not None and depth_mm < further_mm - EARLY_MM
+    changed = {
+        "end": end,
+        "depth_mm": max(depth_mm, before.depth_mm),
+        "resisted_mm": max(resisted_mm, default=None),
+        "force_fell": fed.broke_through,
+        "broke_through": fed.broke_through and not goes_on,
+        "met_bone": fed.met_bone or (end is FeedEnd.INTERRUPTED and before.met_bone),
+        "accepted": False,
+        "peak_force_N": fed.peak_force_N,
+        "side_force_N": fed.side_force_N,
+        "drilled_s": fed.drilled_s,
+        "slowed_s": fed.slowed_s,
+        "forces_N": fed.forces_N,
+    }
+    return before.model_copy(update=changed)
 
 
 def require_bone(context: StepContext, opening: CranialOpening, begun_mm: float | None) -> None:
@@ -48,10 +75,10 @@ def require_bone(context: StepContext, opening: CranialOpening, begun_mm: float 
     if begun_mm is not None:
         raise GateFailed(
             f"at {context.trajectory} the drill felt no bone below an opening begun earlier",
-            expected=f"{TOUCH_N:g} N behind its bottom, {begun_mm:.1f} mm behind the entry",
+            expected=f"bone that resists behind its bottom, {begun_mm:.1f} mm behind the entry",
             got=got,
             action="The drill is switched off, and nothing moves. The opening may be through already, or the "
-            "force sensor dead. Repeated, the step feeds no deeper without bone. Send the arms home: the "
+            "force sensor dead. Repeated, the step leaves the rest to a hand. Send the arms home: the "
             "drill is led out once that is confirmed. Then look into the opening, and go on by hand.",
         )
     raise GateFailed(
@@ -69,6 +96,8 @@ def find_doubt(opening: CranialOpening) -> tuple[str, str]:
     """Return what of an opening does not agree with the CT, and the limit that it misses, '' if nothing."""
     depth_mm, inside_mm = opening.depth_mm, opening.planned_inside_mm
     off_mm, further_mm = depth_mm - inside_mm, opening.further_inside_mm
+    if not opening.force_fell and opening.end is not FeedEnd.ENDED:
+        return _describe_interruption(opening), "a feed that ended"
     if not opening.force_fell:
         further = (
             "" if further_mm is None else f", where by another reading it goes on to {further_mm:.1f} mm"
@@ -93,6 +122,17 @@ def find_doubt(opening: CranialOpening) -> tuple[str, str]:
     return "", ""
 
 
+def _describe_interruption(opening: CranialOpening) -> str:
+    if opening.end is FeedEnd.UNKNOWN:
+        return "a feed whose end is not recorded"
+    if opening.resisted_mm is None:
+        return f"a feed interrupted at {opening.depth_mm:.1f} mm, without bone"
+    return (
+        f"a feed interrupted at {opening.depth_mm:.1f} mm, with bone that resisted up to "
+        f"{opening.resisted_mm:.1f} mm"
+    )
+
+
 def accept_opening(context: StepContext, opening: CranialOpening, before: str = "") -> CranialOpening:
     """Return an opening as accepted: where it does not agree with the CT, by the operator.
 
@@ -115,7 +155,9 @@ def _ask_to_accept(context: StepContext, opening: CranialOpening, doubt: str, li
     """Ask whether an opening counts as drilled. Raises PRO-007 if it does not."""
     trajectory, depth_mm = context.trajectory, opening.depth_mm
     further = (
-        "it asks again, and drills no further" if opening.force_fell else "it asks before it goes in again"
+        "it asks again, and drills no further"
+        if opening.force_fell
+        else "where bone resisted to the end it asks before it goes in again, else a hand drills"
     )
     question = Question(
         Topic.BREAKTHROUGH,

@@ -10,26 +10,30 @@ import pytest
 from procedures.engine.context import StepContext
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES, Topic
+from procedures.planning.errors import MetalInSkull
 from procedures.planning.skull_section import SkullSection
-from procedures.steps.clinical.results import CranialOpening
+from procedures.steps.clinical.results import CranialOpening, FeedEnd
 from procedures.steps.clinical.two_arms import assisted_drilling
-from procedures.steps.clinical.two_arms.assisted_drilling import (
+from procedures.steps.clinical.two_arms.assisted_drilling import drill_with_assistant
+from procedures.steps.clinical.two_arms.drill_plan import (
     BEHIND_SKULL_MM,
+    BegunOpening,
     DrillDepths,
-    _build_opening,
-    _plan_feed,
-    drill_with_assistant,
+    plan_feed,
 )
 from procedures.steps.clinical.two_arms.over_guide import OverGuide
 from procedures.steps.clinical.two_arms.skull_opening import (
     EARLY_MM,
     LATE_MM,
     accept_opening,
+    add_feed,
     describe_opening,
+    find_doubt,
     require_bone,
 )
 from procedures.steps.clinical.work_progress import DepthStop
-from ronna_hw.devices.contact import Inserted
+from ronna_hw.arm.errors import ForceLimitExceeded
+from ronna_hw.devices.contact import Drilled
 from ronna_hw.errors import RonnaError
 
 INSIDE_MM = 12.5
@@ -39,14 +43,43 @@ STOP = DepthStop(bore_mm=80.0, standoff_mm=10.0, depth_mm=60.0, computed_mm=150.
 OVER = OverGuide(cast("Any", None), 0.04, 0.0, None)
 
 
+def fed(*, fell: bool = True, met_bone: bool = True, free_mm: float = 0.0) -> Drilled:
+    """A feed, as the arm tells of it."""
+    return Drilled(
+        joints_rad=(0.0,) * 6,
+        peak_force_N=15.0 if met_bone else 1.4,
+        side_force_N=0.5,
+        met_bone=met_bone,
+        broke_through=fell,
+        free_mm=free_mm,
+        drilled_s=20.0,
+        slowed_s=0.0,
+        forces_N=(15.0,),
+    )
+
+
+def unfed(depths: DrillDepths = DEPTHS) -> CranialOpening:
+    """The opening before its first feed."""
+    context = cast(
+        "Any", SimpleNamespace(workcell=SimpleNamespace(assistant=SimpleNamespace(force_error_N=1.0)))
+    )
+    return assisted_drilling._build_unfed(context, depths, OVER, 30.0)
+
+
 def drilled(
-    depth_mm: float, depths: DrillDepths = DEPTHS, *, fell: bool = True, met_bone: bool = True
+    depth_mm: float,
+    depths: DrillDepths = DEPTHS,
+    *,
+    fell: bool = True,
+    met_bone: bool = True,
+    free_mm: float = 0.0,
+    end: FeedEnd = FeedEnd.ENDED,
+    before: CranialOpening | None = None,
 ) -> CranialOpening:
     """The opening of a feed that ended there, as nobody has judged it yet."""
-    inserted = Inserted(
-        cast("Any", None), 10.0, 15.0 if met_bone else 1.4, broke_through=fell, met_bone=met_bone
-    )
-    return _build_opening(depths, _plan_feed(depths, 30.0, 7.7), OVER, inserted, depth_mm, 1.0)
+    feed = fed(fell=fell, met_bone=met_bone, free_mm=free_mm)
+    opening = add_feed(before or unfed(depths), feed, depth_mm, end)
+    return opening.model_copy(update={"doubt": find_doubt(opening)[0]})
 
 
 def test_an_opening_of_an_earlier_version_is_refused_with_a_code_and_the_fields_that_it_lacks() -> None:
@@ -66,7 +99,21 @@ class AskedContext(NamedTuple):
     openings: list[Any]
 
 
-def asked_context(answer: str, recorded: CranialOpening | None = None) -> AskedContext:
+class FeedingAssistant(SimpleNamespace):
+    """Assistant over the guide, whose feed ends with an error, or is cut off before it is known."""
+
+    def drill(self, *_plan: object) -> None:
+        self.drilled = self.feed
+        raise self.error
+
+    def drill_tip_mm(self, joints_rad: object = None) -> float:
+        assert joints_rad is not None or self.feed is None
+        return float(self.tip_mm)
+
+
+def asked_context(
+    answer: str, recorded: CranialOpening | None = None, **more_of_assistant: object
+) -> AskedContext:
     asked, found, openings = list[Any](), list[str](), list[Any]()
 
     def choose(question: Any) -> str:
@@ -79,11 +126,16 @@ def asked_context(answer: str, recorded: CranialOpening | None = None) -> AskedC
         interruption_at=lambda _name: None,
     )
     instrument = SimpleNamespace(stages=stages, record_insertion=lambda _name: None)
-    assistant = SimpleNamespace(senses_force=True, force_error_N=1.0)
+    assistant = FeedingAssistant(
+        senses_force=True, force_error_N=1.0, drilled_mm=lambda _name: None, **more_of_assistant
+    )
     planned = SimpleNamespace(trajectory=lambda _name: SimpleNamespace(trajectory=None))
     fields = {
         "trajectory": "T1",
         "choose": choose,
+        "rest_drill": lambda: None,
+        "progress": lambda *_args: None,
+        "perform_task": lambda _task: (),
         "find": found.append,
         "result": lambda _kind: planned,
         "setting": SimpleNamespace(settings=SimpleNamespace(assistant_drills=True, drill_force_N=30.0)),
@@ -213,6 +265,18 @@ def test_a_hand_drills_where_the_assistant_cannot(
     assert said in "".join(found)
 
 
+@pytest.mark.hazard(65)
+def test_a_hand_drills_where_the_ct_shows_metal_in_the_skull(monkeypatch: pytest.MonkeyPatch) -> None:
+    def metal(*_args: object) -> None:
+        raise MetalInSkull("the CT shows metal 12.5 to 14.0 mm behind the entry")
+
+    monkeypatch.setattr(assisted_drilling, "volume_of", lambda _context: None)
+    monkeypatch.setattr(assisted_drilling, "measure_skull", metal)
+    case = asked_context(YES)
+    assert drill_with_assistant(case.context, STOP) is None
+    assert "at T1 a hand drills: PLAN-035: the CT shows metal" in case.found[-1]
+
+
 @pytest.mark.hazard(66)
 @pytest.mark.parametrize(
     ("begun_mm", "said"),
@@ -233,11 +297,116 @@ def test_a_drill_that_felt_no_bone_is_no_opening_and_nobody_is_asked(
 
 @pytest.mark.hazard(66)
 @pytest.mark.parametrize(
-    ("begun_mm", "met_bone", "bone_by_mm"),
-    [(None, True, 7.7), (7.8, True, 7.7), (10.0, True, 12.0), (10.0, False, 10.0), (13.4, True, 14.5)],
-    ids=["first", "blind", "in bone", "blind below it", "near its end"],
+    ("bottom_mm", "bone_by_mm"),
+    [(None, 7.7), (10.0, 11.0), (13.8, 14.5)],
+    ids=["first", "in bone", "near its end"],
 )
-def test_bone_is_felt_by_2_mm_behind_its_outside_or_behind_an_opening_begun_in_bone(
-    begun_mm: float | None, met_bone: bool, bone_by_mm: float
+def test_bone_is_felt_by_2_mm_behind_its_outside_or_1_mm_behind_an_opening_begun_in_bone(
+    bottom_mm: float | None, bone_by_mm: float
 ) -> None:
-    assert DEPTHS.bone_by_mm(begun_mm, met_bone=met_bone) == pytest.approx(bone_by_mm)
+    assert DEPTHS.bone_by_mm(bottom_mm) == pytest.approx(bone_by_mm)
+
+
+STOPPED = FeedEnd.INTERRUPTED
+
+
+@pytest.mark.hazard(65)
+@pytest.mark.parametrize(
+    ("last", "reached_mm", "said"),
+    [
+        (drilled(10.6, fell=False, end=STOPPED), 10.65, ""),
+        (drilled(10.6, fell=False, free_mm=0.4, end=STOPPED), 10.6, "bone resisted only up to 10.2 mm"),
+        (drilled(10.6, fell=False, end=STOPPED), 11.0, "bone resisted only up to 10.6 mm"),
+        (drilled(7.7, fell=False, met_bone=False), 7.7, ""),
+        (unfed(), None, ""),
+        (unfed().model_copy(update={"end": FeedEnd.UNKNOWN}), 3.7, "how deep it went is not recorded"),
+        (None, 10.6, "no record says that bone resisted"),
+        (None, 3.7, ""),
+        (drilled(5.0, fell=False, met_bone=False, end=STOPPED, before=drilled(9.0, fell=False)), 9.0, ""),
+        (drilled(10.0, fell=False, met_bone=False, before=drilled(9.0, fell=False)), 10.0, "only up to 9.0"),
+    ],
+    ids=[
+        "stopped in bone",
+        "stopped where nothing resisted",
+        "deeper since",
+        "blind in the outer table",
+        "nothing fed",
+        "end not recorded",
+        "an earlier version",
+        "switched on only",
+        "stopped again above the bottom",
+        "no bone below the bottom",
+    ],
+)
+def test_an_opening_is_fed_on_only_where_bone_resisted_to_its_end_and_else_goes_to_a_hand(
+    last: CranialOpening | None, reached_mm: float | None, said: str
+) -> None:
+    begun = BegunOpening.of(reached_mm, last)
+    assert begun is not None
+    why = begun.why_by_hand(DEPTHS)
+    assert said in why
+    assert bool(said) == bool(why)
+    limits = plan_feed(DEPTHS, 30.0, begun).limits
+    if last is not None and last.resisted_mm is not None:
+        assert limits.bone_from_mm == pytest.approx(DEPTHS.deepest_mm - begun.depth_mm)
+    else:
+        assert limits.bone_from_mm == 0.0
+
+
+@pytest.mark.hazard(65)
+@pytest.mark.parametrize(
+    ("feed", "tip_mm", "ends", "why"),
+    [
+        (fed(fell=False, free_mm=0.4), 10.6, FeedEnd.INTERRUPTED, "only up to 10.2"),
+        (fed(fell=False), 10.6, FeedEnd.INTERRUPTED, ""),
+        (None, DEPTHS.from_mm, FeedEnd.INTERRUPTED, ""),
+        (None, 10.6, FeedEnd.UNKNOWN, "not recorded"),
+    ],
+    ids=["in the open", "in bone", "not begun", "not told"],
+)
+@pytest.mark.parametrize("error", [ForceLimitExceeded("pushed aside"), KeyboardInterrupt()])
+def test_a_feed_is_recorded_before_it_begins_and_however_it_ends(
+    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException,
+    feed: Drilled | None,
+    tip_mm: float,
+    ends: FeedEnd,
+    why: str,
+) -> None:
+    monkeypatch.setattr(assisted_drilling, "volume_of", lambda _context: None)
+    monkeypatch.setattr(assisted_drilling, "measure_skull", lambda *_args: DEPTHS.skull)
+    monkeypatch.setattr(assisted_drilling, "bring_over_guide", lambda *_args: OVER)
+    monkeypatch.setattr(assisted_drilling, "guided_stretch", lambda *_args: None)
+    case = asked_context(
+        YES,
+        drilled=None,
+        axis_in_base=lambda axis: axis,
+        lead_in=lambda *_args: None,
+        record_drill=lambda **_state: None,
+        feed=feed,
+        tip_mm=tip_mm,
+        error=error,
+    )
+    with pytest.raises(type(error)):
+        drill_with_assistant(case.context, STOP)
+    before, after = map(CranialOpening.model_validate, case.openings)
+    assert (before.end, after.end) == (FeedEnd.UNKNOWN, ends)
+    begun = BegunOpening.of(None, after)
+    assert begun is not None
+    assert why in begun.why_by_hand(DEPTHS)
+    assert bool(why) == bool(begun.why_by_hand(DEPTHS))
+
+
+@pytest.mark.hazard(65)
+def test_an_opening_that_may_be_through_goes_to_a_hand_once_the_drill_is_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(assisted_drilling, "volume_of", lambda _context: None)
+    monkeypatch.setattr(assisted_drilling, "measure_skull", lambda *_args: DEPTHS.skull)
+    closed: list[Any] = []
+    monkeypatch.setattr(assisted_drilling, "close_earlier_way", closed.append)
+    case = asked_context(YES, drilled(10.6, fell=False, free_mm=0.4, end=STOPPED))
+    assert drill_with_assistant(case.context, STOP) is None  # its assistant has no motions at all
+    assert len(closed) == 1
+    assert "a hand drills: drilling was begun there" in case.found[-1]
+    assert "THE SKULL MAY BE OPEN" in case.found[-1]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from procedures.engine.context import StepContext
 from procedures.journal.errors import GateFailed
 from procedures.planning.errors import NotReachable
-from procedures.steps.clinical.two_arms.assisted_drilling import FREE_N
+from procedures.steps.clinical.two_arms.drill_plan import FREE_N
 from procedures.steps.clinical.two_arms.force_check import (
     LEAST_UPRIGHT,
     WEIGHT_KG,
