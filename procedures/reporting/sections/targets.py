@@ -10,6 +10,7 @@ from procedures.reporting.pictures import target_figure
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.tables import TargetTable
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.strategies.pose_values import PoseValues
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,15 @@ class Targets:
     picture: str  # SVG
     parts_picture: str  # SVG, or "" where the truth of both parts is not known
     simulated: bool
+
+    @property
+    def poses(self) -> tuple[tuple[str | None, PoseValues], ...]:
+        """Trajectory and six values of each pose in which the guide was held."""
+        return tuple(
+            (one.record.trajectory, PoseValues.of(one.result.tool_pose.transform))
+            for one in self.worked
+            if one.result.tool_pose is not None
+        )
 
 
 def read_targets(reading: RunReading, table: TargetTable, *, simulated: bool) -> Targets | None:
