@@ -27,6 +27,7 @@ from prepared_results import (
 )
 from report_figures import figures_in, figures_of_records
 from report_text import report_text
+from scipy.spatial.transform import RigidTransform
 
 from procedures.cli.runs.showing import show_run
 from procedures.engine.case import StepKey
@@ -57,6 +58,7 @@ from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.pose_values import PoseValues
 from procedures.workcell import MountedTool
 from ronna_hw import load_run
+from ronna_hw.frames import Frame, Transform
 
 ROOT = Path(__file__).resolve().parents[3]
 PARTS = ErrorParts(registration_mm=(1.2, 0.0, 0.0), intrinsic_mm=(-0.9, 0.3, 0.07))
@@ -392,6 +394,16 @@ def test_the_pose_in_which_the_guide_was_held_is_told_by_its_six_values(cell: Cl
     cells = re.findall(r"<td[^>]*>([^<]*)</td>", write_report(cell.folder).read_text())
     shown = [FIRST, "512.250", "-40.500", "310.750", "12.500", "61.250", "-140.000"]
     assert shown in [cells[place : place + len(shown)] for place in range(len(cells))]
+    (row, *_) = csv.DictReader((cell.folder / "report" / "guide_poses.csv").read_text().splitlines())
+    assert (row["target"], float(row["gamma_deg"])) == (FIRST, pytest.approx(-140.0))
+
+
+def test_a_pose_of_the_guide_in_another_frame_is_left_out_and_noted(cell: ClinicalCell) -> None:
+    in_ct = Transform(Frame.CT, Frame.TOOL, RigidTransform.identity())
+    finish(cell, reached_target().model_copy(update={"tool_pose": FramedPose.of(in_ct)}))
+    text = report_text(write_report(cell.folder))
+    assert "the pose of the guide is left out: a transform robot &lt;- tool is needed" in text
+    assert "guide held at" not in text
 
 
 def reached_target() -> ReachedTarget:
