@@ -208,6 +208,7 @@ CASES: Mapping[str, Trial] = {
     "ronna-procedure run --sim --localizer thesis-sphere": case("--markers", "5", largest_mm=1.0),
     "ronna-procedure run --sim --localizer thesis-line": case("--markers", "5", largest_mm=1.0),
     "ronna-procedure run --sim --matcher thesis": case("--markers", "5", largest_mm=1.0),
+    "ronna-procedure run --sim --scene mini --enhance-contrast": case(),
     "ronna-procedure run --sim --strategy nos": case(largest_mm=5.0),
     # its row states cases of five spheres; with the mini scene's three, 0.56 mm rms are predicted
     "ronna-procedure run --sim --strategy thesis-ocs": case("--markers", "5"),

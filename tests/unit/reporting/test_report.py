@@ -488,12 +488,15 @@ def test_a_target_keeps_the_strategy_it_was_last_planned_with(
 
 def test_the_head_of_the_page_marks_methods_that_are_not_for_clinical_use(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path / "20261120T000000-s3-ef01")
-    methods = CaseMethods(localizer=Localizer.THESIS_LINE)
+    methods = CaseMethods(localizer=Localizer.THESIS_LINE, enhance_contrast=True)
     cell.journal.write(Entry.OPENED, 0.0, methods=methods.describe())
     of_thesis = localized_fiducials().model_copy(update={"localizer": Localizer.THESIS_LINE})
     cell.begin(imported_ct(), of_thesis).run_to()
     page = write_report(cell.folder).read_text()
-    assert '<p class="alarm">Localizer thesis-line, matcher ours: not for clinical use.</p>' in page
+    assert (
+        '<p class="alarm">Localizer thesis-line, matcher ours, contrast enhanced: not for clinical use.</p>'
+        in page
+    )
     assert "thesis-line states no error: its share CT is the 0.169 mm published for it" in page
 
 
