@@ -61,11 +61,11 @@ class DistanceGrid:
         return np.asarray(near * (1.0 - x) + far * x)
 
     def approach(
-        self, origins_mm: Vectors, directions: Vectors, furthest_mm: float
+        self, origins_mm: Vectors, directions: Vectors, furthest_mm: float, outside_mm: float = 0.0
     ) -> tuple[Array, Array]:
         """Return the distances along each ray between which it may meet the surface.
 
-        The first is infinite if the ray meets nothing.
+        The first is infinite if the ray meets nothing. Skin may be `outside_mm` outside the sampled surface.
         """
         origins, directions = np.asarray(origins_mm, dtype=float), np.asarray(directions, dtype=float)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -77,7 +77,9 @@ class DistanceGrid:
         for _ in range(MOST_STEPS):
             if not len(active):
                 break
-            away = self.at(origins[active] + along[active, None] * directions[active]) - MISSES_MM
+            away = (
+                self.at(origins[active] + along[active, None] * directions[active]) - MISSES_MM - outside_mm
+            )
             active, away = active[away > LEAST_STEP_MM], away[away > LEAST_STEP_MM]
             along[active] += away
             gone = along[active] > leave[active]

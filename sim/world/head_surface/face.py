@@ -1,8 +1,8 @@
 """Measures of a face, and how they are drawn from the spread of adults.
 
-Means and standard deviations of men and women are those of the survey of 3997 users of respirators: Zhuang and
-Bradtmiller, J. Occup. Environ. Hyg. 2:567, 2005. Heights from the vertex and of ears are of the army's survey
-ANSUR (1988). They are quoted to the nearest millimetre or half; those marked (U) are estimates of ours.
+Means and standard deviations of men and women are of a survey of 3997 users of respirators (Zhuang and
+Bradtmiller, J. Occup. Environ. Hyg. 2:567, 2005), those of heights below the vertex and of ears of the army's
+survey ANSUR (1988), quoted without the tables at hand. Estimates of ours are marked (U).
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ class Face(Strict):
     ear_protrusion_mm: Measure = Field(default=21.0, description="Edge of the ears from the head.")
     neck_mm: Measure = Field(default=57.0, description="Radius of the neck.")
     ear_folds: tuple[Share, Share] = Field(
-        default=(0.0, 0.0), description="How far the ears are folded against the head, left and right: 0 to 1."
+        default=(0.0, 0.0),
+        description="How far the ears are folded against the head, left and right: 0 to 1.",
     )
     hair_line_mm: Measure = Field(
         default=70.0, description="Height of the hair line at the forehead above the root of the nose."

@@ -24,7 +24,7 @@ EAR_BEHIND_MM = 98.0  # of the tragion before the back of the head
 CHIN_BEHIND_MM = 2.0  # of the chin behind the brow
 NECK_TO_MM = 330.0  # below the centre: beyond every field of view
 PUPIL_BELOW_SELLION_MM = 6.0
-MOUTH_BELOW_NOSE_MM = 22.0
+MOUTH_SHARE = 0.32  # of the way from the nose to the chin
 ROOM_MM = 12.0  # of the grid around the head
 
 
@@ -120,7 +120,9 @@ class ParametricHead:
         bone = ellipsoid(x, y, z, (face_half - 22.0, front + 38.0, sellion - 32.0), (22.0, 25.0, 15.0))
         lower = ellipsoid(x, y, z, (0.0, front + 50.0, menton + 40.0), (jaw_half - 2.0, 47.0, 38.0))
         chin = ellipsoid(x, y, z, (0.0, front + 17.0, menton + 16.0), (21.0, 16.0, 16.0))
-        lips = ellipsoid(x, y, z, (0.0, front + 11.0, nose_base - MOUTH_BELOW_NOSE_MM), (25.0, 13.0, 9.0))
+        lips = ellipsoid(
+            x, y, z, (0.0, front + 11.0, nose_base + MOUTH_SHARE * (menton - nose_base)), (25.0, 13.0, 9.0)
+        )
         bridge = cone(x, y, z, (0.0, marks.nose_root_mm, sellion), marks.nose_tip, (6.0, 9.5))
         wing = ellipsoid(
             x,
@@ -160,7 +162,12 @@ class ParametricHead:
             ear=plate,
             concha=hollow,
             neck=cone(
-                x, y, z, (0.0, 20.0, -70.0), (0.0, 55.0, -NECK_TO_MM), (face.neck_mm - 4.0, face.neck_mm + 4.0)
+                x,
+                y,
+                z,
+                (0.0, 20.0, -70.0),
+                (0.0, 55.0, -NECK_TO_MM),
+                (face.neck_mm - 4.0, face.neck_mm + 4.0),
             ),
         )
 
