@@ -89,7 +89,7 @@ def _between(
     """Return the roots between places with their distances, by false position after Illinois."""
     (low, above), (high, below) = outside, inside
     found = high.copy()
-    rows = np.arange(len(low))
+    rows: NDArray[np.intp] = np.arange(len(low))
     for _ in range(REFINEMENTS):
         middle = low + (high - low) * above / np.maximum(above - below, TINY)
         found[rows] = middle
@@ -99,7 +99,8 @@ def _between(
         low, high = np.where(is_outside, middle, low), np.where(is_outside, high, middle)
         above, below = np.where(is_outside, away, 0.5 * above), np.where(is_outside, 0.5 * below, away)
         going = np.abs(away) > CLOSE_MM
-        rows, low, high, above, below = (one[going] for one in (rows, low, high, above, below))
+        low, high, above, below = (one[going] for one in (low, high, above, below))
+        rows = rows[going]
         if not len(rows):
             break
     return found
