@@ -84,7 +84,9 @@ class VolumeHead:
 
     def cast(self, origins_mm: Vectors, directions: Vectors, furthest_mm: float) -> Array:
         """Return the distance (n,) along unit directions to the first hit; NaN without one."""
-        start, end = self.grid.approach(origins_mm, directions, furthest_mm)
+        # The coarse distances are those of whole voxels of the mask.
+        voxel_mm = float(self._body[1].max())
+        start, end = self.grid.approach(origins_mm, directions, furthest_mm, voxel_mm)
         return march(self.distance_mm, origins_mm, directions, end, start)
 
     @cached_property
