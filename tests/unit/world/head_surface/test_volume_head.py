@@ -34,7 +34,7 @@ def image() -> CtImage:
     )
     z = np.arange(middle - HALF_HEIGHT_MM, middle + HALF_HEIGHT_MM, SPACING_MM).astype(np.float32)
     layers = layers_of(head, EDGE_MM)
-    hu = np.stack([layers.hu_at(x[:, None], y[None, :], one[None, None]) for one in z], axis=2)
+    hu = np.stack([layers.hu_at(x[:, None], y[None, :], one[None]) for one in np.split(z, len(z))], axis=2)
     hu[:3, :3] = 150.0
     return CtImage(hu, np.array([x[0], y[0], z[0]], dtype=float), np.full(3, SPACING_MM))
 
