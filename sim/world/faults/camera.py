@@ -84,6 +84,12 @@ STREAM_FAULTS = (
         "path", "narrow path NAME INT bytes", "The network drops larger stream packets.", _check_path
     ),
 )
+OUTPUT_FAULTS = (
+    declare_lasting("hold_line", "hold line NAME", "The output line stays low, whatever its source."),
+    SIGHT.declare_lasting(
+        "no_laser", "projector dark", "The line projector stays dark although its line is high."
+    ),
+)
 CONTROL_FAULTS = (
     declare_lasting("unplug", "unplug NAME", "No packets reach or leave the camera."),
     declare_lasting(
@@ -129,4 +135,11 @@ LENS_FAULTS = (
         "That many dark spots on the sensor, at the same places in every image.",
     ),
 )
-CAMERA_FAULTS = (*SIGHT_FAULTS, *STREAM_FAULTS, *CONTROL_FAULTS, *TRIGGER_FAULTS, *LENS_FAULTS)
+CAMERA_FAULTS = (
+    *SIGHT_FAULTS,
+    *STREAM_FAULTS,
+    *CONTROL_FAULTS,
+    *OUTPUT_FAULTS,
+    *TRIGGER_FAULTS,
+    *LENS_FAULTS,
+)
