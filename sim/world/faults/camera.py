@@ -15,6 +15,7 @@ from sim.world.scene.model import Scene
 
 BOTH = "both"
 SMALLEST_PATH_BYTES = 68  # least packet size that a network must carry
+BRIGHTEST_LAMP_PERCENT = 1000.0  # saturates at any exposure in use
 MOST_STAINED_PERCENT = 60.0  # spots overlap: more would take long and look alike
 
 SIGHT = FaultKinds("camera")
@@ -85,6 +86,15 @@ STREAM_FAULTS = (
     ),
 )
 OUTPUT_FAULTS = (
+    SIGHT.declare_lasting(
+        "lamp",
+        "lamp NUMBER %",
+        "A lamp lights the skin with that share of the light that a sphere returns.",
+        check_at_most(BRIGHTEST_LAMP_PERCENT, "%"),
+    ),
+    SIGHT.declare_lasting(
+        "hand", "hand NUMBER mm", "A hand is in the projector's line, its middle that far over the skin."
+    ),
     declare_lasting("hold_line", "hold line NAME", "The output line stays low, whatever its source."),
     SIGHT.declare_lasting(
         "no_laser", "projector dark", "The line projector stays dark although its line is high."

@@ -21,7 +21,7 @@ from sim.errors import BAD_SCENE
 from sim.world.noise import noise
 from sim.world.rigid import Point, apply, as_point, matrix_from, matrix_of, pose_of, rotation_towards
 from sim.world.scene.arm_design import CHOSEN
-from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount
+from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount, draw_projector
 from sim.world.scene.head import draw_head
 from sim.world.scene.model import CtProtocol, Scene, Stand, TrackerTool, TrackerTruth
 from sim.world.scene.parts import (
@@ -62,11 +62,12 @@ def draw_scene(
     template: MarkerTemplate | None = None,
     x_frame: bool = False,
     arm: ArmChoice = ArmChoice.KR6,
+    projector: bool = False,
 ) -> Scene:
     """Draw a named scene; raises SIM-001 for an unknown name.
 
     The default scene has 5 markers and 3 targets, the mini scene 3 and 1; `x_frame` has the four markers of
-    that frame, which the tracker knows as a tool.
+    that frame, which the tracker knows as a tool. `projector` puts a line projector on the stereo head.
     """
     if name not in SCENES:
         raise BAD_SCENE(
@@ -104,6 +105,7 @@ def draw_scene(
             0 if mini else USUAL_REFLECTIONS,
             (robot_frame(), *((frame_on_head(),) if x_frame else ()), frame_on_guide()),
         ),
+        projector=draw_projector(seed) if projector else None,
         left=left,
         right=right,
         stand=_draw_stand(seed, design.head_mm),
