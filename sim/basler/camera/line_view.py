@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from sim.basler.optics.canvas import Area, Lens
 from sim.basler.optics.laser_line import FILM, FURTHEST_MM, SKIN, Body, LineRun, trace_line
 from sim.basler.optics.sphere import DrawnSphere
 from sim.world.displacements import RoomShift, rigid_move
 from sim.world.head_surface.ellipsoidal_head import EllipsoidalHead
 from sim.world.rigid import Matrix, apply, as_point, inverse, matrix_of
-from sim.world.scene.model import Scene
+from sim.world.scene.model import CameraTruth, Scene
 
 HAND_RADIUS_MM = 12.0  # of a finger's end
 HAND_BESIDE_MM = 8.0  # of the line's middle: it takes half of what the cameras see
@@ -21,7 +22,8 @@ HAND = replace(SKIN, gloss=0.0)  # in a glove
 class LineView:
     """The line projector of a scene and what its light meets."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, camera: CameraTruth) -> None:
+        self._lens = Lens.from_camera(camera)
         self._projector = scene.projector
         self._seed = scene.seed
         head = scene.head
@@ -30,13 +32,14 @@ class LineView:
 
     def runs(
         self,
+        area: Area,
         robot_from_tool: Matrix | None,
         camera_from_tool: Matrix,
         spheres: tuple[DrawnSphere, ...],
         room: RoomShift,
         hand_mm: float | None = None,
     ) -> tuple[LineRun, ...]:
-        """Return the runs of the line in the camera frame, empty without a projector or an arm.
+        """Return the runs of the line in an area of a camera's picture, empty without projector or arm.
 
         `hand_mm` is the height over the skin of a hand in the line, if there is one.
         """
@@ -53,7 +56,14 @@ class LineView:
             bodies.append(Body(EllipsoidalHead(centre, (sphere.radius_mm,) * 3), FILM))
         if hand_mm is not None and (hand := self._hand(ct_from_projector, hand_mm)) is not None:
             bodies.append(hand)
-        return trace_line(self._projector, ct_from_projector, camera_from_ct, bodies, seed=self._seed)
+        return trace_line(
+            self._projector,
+            ct_from_projector,
+            camera_from_ct,
+            (self._lens, area),
+            bodies,
+            seed=self._seed,
+        )
 
     def _hand(self, ct_from_projector: Matrix, height_mm: float) -> Body | None:
         """Return a hand over the place where the projector's axis meets the skin, if it does."""

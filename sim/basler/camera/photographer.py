@@ -68,7 +68,7 @@ class Photographer:
         with self._drawing:
             disturbance = self._disturbances.now()
             spheres = self._view.spheres(pose, disturbance.twist_rad, disturbance.room)
-            line = self._view.line(pose, disturbance) if frame.line_lit else ()
+            line = self._view.line(frame.area, pose, disturbance) if frame.line_lit else ()
             light = self._optics.light_on(frame.area, spheres, disturbance, line, _moment(pose))
         light = self._faults.disturb(light, frame.area.x, frame.area.y)
         pixels = self._sensor.read(

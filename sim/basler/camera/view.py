@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ronna_hw.wire.room_tasks import OnStand
 from sim.basler.camera.line_view import LineView
+from sim.basler.optics.canvas import Area
 from sim.basler.optics.film import draw_stains
 from sim.basler.optics.laser_line import LineRun
 from sim.basler.optics.picture import CLEAR, Glare, Occluder, PictureDisturbance
@@ -49,7 +50,7 @@ class View:
         self._stand_mm = np.array(world.scene.stand.ball_mm)
         self._stand_number = 1 + max((each.number for each in self._fiducials), default=0)
         self._room = ShiftedRoom(world)
-        self._line = LineView(world.scene)
+        self._line = LineView(world.scene, camera)
 
     def pose(self) -> Pose | None:
         """Return the true head pose (4, 4) in the robot frame, or None before an arm has published it."""
@@ -105,12 +106,15 @@ class View:
             seen.append(DrawnSphere(centre, holder.ball_radius_mm, along, number))
         return tuple(one for one in seen if 0.0 < one.centre_mm[2] < FURTHEST_MM)
 
-    def line(self, robot_from_tool: Pose | None, disturbance: PictureDisturbance) -> tuple[LineRun, ...]:
-        """Return the line of the lit projector as the camera sees it, for a pose returned by `pose`."""
+    def line(
+        self, area: Area, robot_from_tool: Pose | None, disturbance: PictureDisturbance
+    ) -> tuple[LineRun, ...]:
+        """Return the lit projector's line in an area of the picture, for a pose returned by `pose`."""
         if not self.head_mounted or disturbance.line_dark:
             return ()
         twist_rad, room = disturbance.twist_rad, disturbance.room
         return self._line.runs(
+            area,
             robot_from_tool,
             self._twist_pose(twist_rad),
             self.spheres(robot_from_tool, twist_rad, room),

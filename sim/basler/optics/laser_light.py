@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, floor
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import Area, Image, Lens, PixelCanvas
+from sim.basler.optics.canvas import Area, Image, Lens, PixelCanvas, blur
 from sim.basler.optics.laser_line import LineRun
 from sim.basler.optics.speckle import Speckle
 from sim.world.rigid import Array
@@ -24,7 +25,9 @@ NEAR_SPECKLE = 0.3  # of the contrast: light from below the surface has lost mos
 COARSE_PX = 8  # of the far glow
 FAR_REACH = 6.0  # decay lengths of the far glow that are drawn
 ROUND_SHARE = 0.15  # of the decay length, over which the glow's middle is rounded
-SHORTEST_PX = 2.0  # of a run in the image
+SHORTEST_PX = 1  # of a part in the image
+SLANT_BEGINS = 0.3  # squared sine of the angle between rows and line from which both axes share its light
+END_COARSE_PX = 2.0  # standard deviation of the glow's ends
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ def add_glow(canvas: PixelCanvas, runs: Sequence[ImageRun]) -> None:
         length = run.far_px[where, None]
         distance = np.sqrt(off * off + (ROUND_SHARE * length) ** 2) / length
         grid[on] += np.where(distance < FAR_REACH, run.far[where, None] * np.exp(-distance), 0.0)
-    _add_enlarged(canvas.light, coarse)
+    _add_enlarged(canvas.light, blur(coarse, END_COARSE_PX))
 
 
 def _add_enlarged(light: Image, coarse: Image) -> None:
@@ -107,50 +110,57 @@ def _add_enlarged(light: Image, coarse: Image) -> None:
 
 
 def _project(run: LineRun, lens: Lens, area: Area) -> Iterator[ImageRun]:
+    """Yield parts along the rows and along the columns; on a slant both share the light."""
     pixels = lens.project(run.points_mm)
     shift = lens.project(run.points_mm + run.across_mm) - pixels
-    per_mm = np.linalg.norm(shift, axis=1) / np.linalg.norm(run.across_mm, axis=1)
     along = np.gradient(pixels, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
-    steep = np.abs(along[:, 1]) >= np.abs(along[:, 0])
-    for part in _split(steep, pixels):
-        across_rows = bool(steep[part[len(part) // 2]])
+    upright = np.clip((np.square(along[:, 1]) - SLANT_BEGINS) / (1.0 - 2.0 * SLANT_BEGINS), 0.0, 1.0)
+    widths = _Widths(
+        np.abs(shift[:, 0] * along[:, 1] - shift[:, 1] * along[:, 0]),
+        lens.blur_sigmas_px(run.points_mm[:, 2]),
+        np.linalg.norm(shift, axis=1) / np.linalg.norm(run.across_mm, axis=1),
+    )
+    for across_rows, weight in ((True, upright), (False, 1.0 - upright)):
         main = 1 if across_rows else 0
-        if abs(pixels[part[-1], main] - pixels[part[0], main]) < SHORTEST_PX:
-            continue
-        if pixels[part[-1], main] < pixels[part[0], main]:
-            part = part[::-1]
         low, size = (area.y, area.height) if across_rows else (area.x, area.width)
-        first = max(ceil(pixels[part[0], main]), low)
-        last = min(int(np.floor(pixels[part[-1], main])), low + size - 1)
-        if last <= first:
-            continue
-        at = np.arange(first, last + 1)
-        shear = np.abs(shift[:, 0] * along[:, 1] - shift[:, 1] * along[:, 0])
-        stretch = 1.0 / np.abs(along[:, main])  # from across the line to along the row
-        blur = lens.blur_sigmas_px(run.points_mm[:, 2])
-        yield _widened(run, at, across_rows, part, pixels, shear, stretch, blur, per_mm)
+        for part in _monotonic_parts(pixels[:, main], weight > 0.0):
+            first = max(ceil(pixels[part[0], main]), low)
+            last = min(floor(pixels[part[-1], main]), low + size - 1)
+            if last - first >= SHORTEST_PX:
+                stretch = 1.0 / np.maximum(np.abs(along[:, main]), SLANT_BEGINS)
+                yield _at_pixels(
+                    run, widths, weight, stretch, pixels, part, np.arange(first, last + 1), across_rows
+                )
 
 
-def _widened(
+class _Widths(NamedTuple):
+    """Widths (n,) across the line in the image: of the sheet, of the blur; and the scale on the surface."""
+
+    sheet_px: Array
+    blur_px: Array
+    px_per_mm: Array
+
+
+def _at_pixels(
     run: LineRun,
+    widths: _Widths,
+    weight: Array,
+    stretch: Array,
+    pixels: Array,
+    part: NDArray[np.intp],
     at: NDArray[np.intp],
     across_rows: bool,
-    part: NDArray[np.intp],
-    pixels: Array,
-    sigma_px: Array,
-    stretch: Array,
-    blur_px: Array,
-    px_per_mm: Array,
 ) -> ImageRun:
-    """Return a run with its widths and light at whole rows or columns."""
+    """Return part of a run, its widths and light at whole rows or columns; `stretch` is along these."""
     finish = run.finish
-    core_px = np.hypot(sigma_px, blur_px)
-    near_px = np.hypot(core_px, finish.near_mm * px_per_mm)
-    far_px = finish.far_mm * px_per_mm
-    flux = run.light * sigma_px  # of the whole width, up to the root of 2 pi
+    core_px = np.hypot(widths.sheet_px, widths.blur_px)
+    near_px = np.hypot(core_px, finish.near_mm * widths.px_per_mm)
+    far_px = finish.far_mm * widths.px_per_mm
+    flux = run.light * widths.sheet_px * weight  # of the whole width, up to the root of 2 pi
+    mirrored = run.gloss * widths.sheet_px * weight
     values = {
-        "core": finish.surface_share * flux / core_px + run.gloss * sigma_px / core_px,
+        "core": (finish.surface_share * flux + mirrored) / core_px,
         "near": finish.near_share * flux / near_px,
         "far": finish.far_share * flux * np.sqrt(np.pi / 2.0) / far_px,
         "centre_px": pixels[:, 0 if across_rows else 1],
@@ -159,19 +169,19 @@ def _widened(
         "far_px": far_px * stretch,
     }
     main = pixels[part, 1 if across_rows else 0]
-    return ImageRun(
-        across_rows, at, **{name: np.interp(at, main, value[part]) for name, value in values.items()}
-    )
+    found = {name: np.interp(at, main, value[part]) for name, value in values.items()}
+    end_px = np.minimum(at - main[0], main[-1] - at)  # an end is as blurred as the line
+    found["core"] *= np.clip(end_px / (2.0 * widths.blur_px[part].mean()), 0.0, 1.0)
+    return ImageRun(across_rows, at, **found)
 
 
-def _split(steep: NDArray[np.bool_], pixels: Array) -> Iterator[NDArray[np.intp]]:
-    """Yield the indices of parts that run the same way along the same axis; neighbours share an end."""
-    step = np.diff(pixels, axis=0)
-    main = np.where(steep[1:], step[:, 1], step[:, 0])
-    kind = np.where(steep[1:], 2, 0) + (main > 0.0)
+def _monotonic_parts(main: Array, used: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
+    """Yield indices of neighbouring used points along which a coordinate rises."""
+    kind = np.where(used[:-1] & used[1:], np.where(np.diff(main) > 0.0, 1, -1), 0)
     cuts = np.flatnonzero(np.diff(kind)) + 1
     for begin, end in zip([0, *cuts], [*cuts, len(kind)], strict=True):
-        yield np.arange(begin, end + 1)
+        if kind[begin]:
+            yield np.arange(begin, end + 1)[:: kind[begin]]
 
 
 def _gaussian(off: Image, sigma_px: Array, peak: Array) -> Image:

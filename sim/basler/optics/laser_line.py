@@ -14,15 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.wire.gige_vision import PIXEL_PITCH_UM
-from sim.basler.optics.canvas import EFFECTIVE_F_NUMBER
+from sim.basler.optics.canvas import EFFECTIVE_F_NUMBER, Area, Lens
 from sim.world.head_surface.smooth_field import smooth_field
 from sim.world.head_surface.surface import HeadSurface
 from sim.world.rigid import Array, Matrix, Vector, Vectors, apply, inverse
 from sim.world.scene.line_projector import LineProjector
 
-RAYS = 480  # of the fan: 0.1 mm apart on the skin
+RAYS = 240  # of the fan: 0.2 mm apart on the skin; a chord of a nose's tip is 1 um off its arc
+VIEW_MM = 80.0  # before and behind the projector's focus: what lies there may be in a picture
+VIEW_STEPS = 5
+VIEW_MARGIN_PX = 200  # around the area: light that spreads into it
 FURTHEST_MM = 600.0
-HIDDEN_MM = 0.5  # a body nearer to the camera than a point by this hides it
+LIFT_MM = 0.3  # over the surface, from where it is asked whether anything hides a point from a camera
 JUMP_MM = 1.5  # between neighbouring rays: another part of the surface
 SIGMAS_OF_WIDTH = 4.0  # of a Gaussian beam between the places of 1/e²
 LEAST_INCLINATION = 0.05  # sine between surface and sheet: a line that runs along the sheet has no width
@@ -98,15 +101,24 @@ def trace_line(
     projector: LineProjector,
     ct_from_projector: Matrix,
     camera_from_ct: Matrix,
+    picture: tuple[Lens, Area],
     bodies: Sequence[Body],
     hair: Hair | None = None,
     seed: int = 0,
 ) -> tuple[LineRun, ...]:
-    """Return the runs of the line on these bodies that a camera sees; `seed` is that of the skin's gloss."""
+    """Return the runs of the line on these bodies, the skin first, that a camera sees in its area.
+
+    `seed` is that of the skin's gloss.
+    """
     angle = np.linspace(-0.5, 0.5, RAYS) * radians(projector.fan_deg)
     fan = np.column_stack([np.sin(angle), np.zeros(RAYS), np.cos(angle)])
     directions = fan @ ct_from_projector[:3, :3].T
     start = ct_from_projector[:3, 3]
+    reach_mm = projector.focus_mm + np.linspace(-VIEW_MM, VIEW_MM, VIEW_STEPS)
+    places = start + reach_mm[:, None, None] * directions
+    directions = directions[_is_in_view(picture, apply(camera_from_ct, places.reshape(-1, 3)))]
+    if not len(directions):
+        return ()
     away_mm, hit = cast_nearest(bodies, start, directions)
     lit = np.flatnonzero(hit >= 0)
     if not len(lit):
@@ -126,13 +138,22 @@ def trace_line(
         if hair is not None and hidden.any():
             layers.append((line.raised(hair.thickness_mm(points), seed), HAIR, hidden))
         for layer, finish, bright in layers:
-            seen = bright & _is_seen(bodies, eye, layer.points)
+            seen = bright & _is_seen(bodies, eye, layer)
             runs.extend(_runs(layer, finish, seen, projector, sheet, eye, camera_from_ct, seed))
     return tuple(runs)
 
 
+def _is_in_view(picture: tuple[Lens, Area], places_mm: Vectors) -> NDArray[np.bool_]:
+    """Return whether the camera may see a ray (n,), given several places of each: (places * n, 3)."""
+    lens, area = picture
+    wide = area.expand(VIEW_MARGIN_PX)
+    x, y = lens.project(places_mm).T
+    inside = (x >= wide.x) & (x < wide.x + wide.width) & (y >= wide.y) & (y < wide.y + wide.height)
+    return np.asarray(inside.reshape(VIEW_STEPS, -1).any(axis=0))
+
+
 def cast_nearest(
-    bodies: Sequence[Body], start: Vector, directions: Vectors, furthest_mm: float = FURTHEST_MM
+    bodies: Sequence[Body], start: Vectors, directions: Vectors, furthest_mm: float = FURTHEST_MM
 ) -> tuple[Array, NDArray[np.intp]]:
     """Return distance and number of the body (n,) that each ray meets first; NaN and -1 without one."""
     origins = np.broadcast_to(start, directions.shape)
@@ -163,11 +184,14 @@ class _SurfaceLine:
         return _SurfaceLine(points, self.normals, self.directions, self.away_mm - back, self.ray)
 
 
-def _is_seen(bodies: Sequence[Body], eye: Vector, points: Vectors) -> NDArray[np.bool_]:
-    sight = points - eye
+def _is_seen(bodies: Sequence[Body], eye: Vector, line: _SurfaceLine) -> NDArray[np.bool_]:
+    """Return whether nothing is between points and camera: rays that leave the surface end soon."""
+    start = line.points + LIFT_MM * line.normals
+    sight = eye - start
     length = np.linalg.norm(sight, axis=1)
-    away_mm, _ = cast_nearest(bodies, eye, sight / length[:, None], float(length.max()))
-    return np.asarray(np.isnan(away_mm) | (away_mm > length - HIDDEN_MM))
+    _, met = cast_nearest(bodies, start, sight / length[:, None], float(length.max()))
+    faces = (sight * line.normals).sum(axis=1) > 0.0
+    return np.asarray(faces & (met < 0))
 
 
 def _runs(
