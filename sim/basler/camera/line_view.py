@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from sim.basler.optics.canvas import Area, Lens
-from sim.basler.optics.laser_line import FILM, FURTHEST_MM, SKIN, Body, LineRun, trace_line
+from sim.basler.optics.laser_line import FILM, FURTHEST_MM, SKIN, Body, Hair, LineRun, trace_line
 from sim.basler.optics.sphere import DrawnSphere
 from sim.world.displacements import RoomShift, rigid_move
 from sim.world.head_surface.ellipsoidal_head import EllipsoidalHead
+from sim.world.head_surface.regions import hair_mm, hidden_by_hair
 from sim.world.rigid import Matrix, apply, as_point, inverse, matrix_of
 from sim.world.scene.model import CameraTruth, Scene
+from sim.world.scene.skin import head_with_face, skin_in_theatre
 
 HAND_RADIUS_MM = 12.0  # of a finger's end
 HAND_BESIDE_MM = 8.0  # of the line's middle: it takes half of what the cameras see
@@ -28,7 +31,9 @@ class LineView:
         self._seed = scene.seed
         head = scene.head
         self._robot_from_ct = matrix_of(head.robot_from_ct)
-        self._skin = Body(EllipsoidalHead(head.centre_ct_mm, head.semi_axes_mm), SKIN)
+        self._skin = Body(skin_in_theatre(head), SKIN)
+        faced = head_with_face(head)
+        self._hair = None if faced is None else Hair(partial(hidden_by_hair, faced), partial(hair_mm, faced))
 
     def runs(
         self,
@@ -62,7 +67,8 @@ class LineView:
             camera_from_ct,
             (self._lens, area),
             bodies,
-            seed=self._seed,
+            self._hair,
+            self._seed,
         )
 
     def _hand(self, ct_from_projector: Matrix, height_mm: float) -> Body | None:

@@ -23,7 +23,7 @@ from sim.world.rigid import Array
 WINDOW_SIGMAS = 3.5
 NEAR_SPECKLE = 0.3  # of the contrast: light from below the surface has lost most of its coherence (U)
 COARSE_PX = 8  # of the far glow
-FAR_REACH = 6.0  # decay lengths of the far glow that are drawn
+FAR_REACH = 4.5  # decay lengths of the far glow that are drawn
 ROUND_SHARE = 0.15  # of the decay length, over which the glow's middle is rounded
 SHORTEST_PX = 1  # of a part in the image
 SLANT_BEGINS = 0.3  # squared sine of the angle between rows and line from which both axes share its light
@@ -79,7 +79,7 @@ def add_glow(canvas: PixelCanvas, runs: Sequence[ImageRun]) -> None:
     if not glowing:
         return
     area = canvas.area
-    coarse = np.zeros((area.height // COARSE_PX + 2, area.width // COARSE_PX + 2), np.float32)
+    coarse: Image = np.zeros((area.height // COARSE_PX + 2, area.width // COARSE_PX + 2), np.float32)
     for run in glowing:
         grid, left, top = (coarse, area.x, area.y) if run.across_rows else (coarse.T, area.y, area.x)
         row = (np.arange(len(grid))) * COARSE_PX + top
@@ -97,6 +97,11 @@ def add_glow(canvas: PixelCanvas, runs: Sequence[ImageRun]) -> None:
 
 def _add_enlarged(light: Image, coarse: Image) -> None:
     """Add a grid of every `COARSE_PX`th pixel, interpolated bilinearly."""
+    lit = np.flatnonzero(coarse.any(axis=0))
+    if not len(lit):
+        return
+    left, right = max(int(lit[0]) - 1, 0), min(int(lit[-1]) + 2, coarse.shape[1])
+    coarse, light = coarse[:, left:right], light[:, left * COARSE_PX : (right - 1) * COARSE_PX]
     share = (np.arange(COARSE_PX, dtype=np.float32) / COARSE_PX)[None, None, :]
     wide = coarse[:, :-1, None] * (1.0 - share) + coarse[:, 1:, None] * share
     wide = wide.reshape(len(coarse), -1)[:, : light.shape[1]]

@@ -32,6 +32,11 @@ class Field(NamedTuple):
         length = np.sqrt(self.x * self.x + self.y * self.y + self.z * self.z)
         return self.value / np.maximum(length, SHORTEST_GRADIENT)
 
+    def normals(self) -> NDArray[np.float64]:
+        """Return unit normals (n, 3) of one row of points."""
+        gradient = np.column_stack([self.x, self.y, self.z])
+        return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
+
     def cautious(self) -> Values:
         """Return a distance that is rather too short, for steps through empty space."""
         return np.minimum(self.distance(), self.value)

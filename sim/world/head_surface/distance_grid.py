@@ -60,6 +60,14 @@ class DistanceGrid:
         near, far = (along_z[k] * (1.0 - y) + along_z[k + 1] * y for k in (0, 2))
         return np.asarray(near * (1.0 - x) + far * x)
 
+    def nearest(self, x: Values, y: Values, z: Values) -> NDArray[np.float32]:
+        """Return the distances at the nodes nearest to points of arrays that broadcast together."""
+        places = [
+            np.clip(np.rint((value - low) * (1.0 / SPACING_MM)), 0, count - 1).astype(np.intp)
+            for value, low, count in zip((x, y, z), self.low_mm.tolist(), self.values.shape, strict=True)
+        ]
+        return np.asarray(self.values[tuple(np.broadcast_arrays(*places))])
+
     def approach(
         self, origins_mm: Vectors, directions: Vectors, furthest_mm: float, outside_mm: float = 0.0
     ) -> tuple[Array, Array]:

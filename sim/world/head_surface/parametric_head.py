@@ -7,7 +7,7 @@ Left and right are alike but for folded ears: |x| serves both.
 from __future__ import annotations
 
 from functools import cached_property
-from math import radians
+from math import asin, radians
 from typing import NamedTuple
 
 import numpy as np
@@ -16,16 +16,20 @@ from sim.world.head_surface.blending import Field, Values, carve, cone, ellipsoi
 from sim.world.head_surface.distance_grid import DistanceGrid
 from sim.world.head_surface.face import Face
 from sim.world.head_surface.surface import march
-from sim.world.rigid import Array, Point, Vectors
+from sim.world.rigid import Array, Point, Vectors, as_point
 
 EAR_PLATE_MM = 3.5  # half the thickness of an ear
 EAR_FLAT_RAD = radians(4.0)  # turn of a folded ear
+STEEPEST_EAR = 0.9  # sine of the turn of an ear that stands off
 EAR_BEHIND_MM = 98.0  # of the tragion before the back of the head
 CHIN_BEHIND_MM = 2.0  # of the chin behind the brow
 NECK_TO_MM = 330.0  # below the centre: beyond every field of view
 PUPIL_BELOW_SELLION_MM = 6.0
+BROW_ABOVE_SELLION_MM = 11.0
 MOUTH_SHARE = 0.32  # of the way from the nose to the chin
 ROOM_MM = 12.0  # of the grid around the head
+NECK_SHOWN_MM = 40.0  # below the chin: rays meet nothing further down
+NOSE_BALL_MM = 9.5
 
 
 class Parts(NamedTuple):
@@ -73,9 +77,7 @@ class ParametricHead:
 
     def normals(self, points_mm: Vectors) -> Vectors:
         """Return outward unit normals (n, 3) at points near the surface."""
-        _, x, y, z = self.field(*_columns(points_mm))
-        gradient = np.column_stack([x, y, z])
-        return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
+        return self.field(*_columns(points_mm)).normals()
 
     def cast(self, origins_mm: Vectors, directions: Vectors, furthest_mm: float) -> Array:
         """Return the distance (n,) along unit directions to the first hit; NaN without one."""
@@ -89,28 +91,41 @@ class ParametricHead:
         return DistanceGrid.sample(lambda x, y, z: self.field(x, y, z).cautious(), low, high)
 
     @property
-    def bounds_mm(self) -> tuple[Point, Point]:
-        """Lowest and highest coordinates of the head with a part of its neck."""
+    def extent_mm(self) -> tuple[Point, Point]:
+        """Lowest and highest coordinates, from the chin to the vertex."""
         marks, (cx, cy, cz) = self._marks, self.centre_ct_mm
         a, b, c = self.semi_axes_mm
-        wide = a + self.face.ear_protrusion_mm + ROOM_MM
-        return (
-            (cx - wide, cy + marks.nose_tip[1] - ROOM_MM, cz + marks.menton_mm - 40.0),
-            (cx + wide, cy + b + ROOM_MM, cz + c + ROOM_MM),
-        )
+        wide = a + self.face.ear_protrusion_mm
+        nose = marks.nose_tip[1] - NOSE_BALL_MM
+        return (cx - wide, cy + nose, cz + marks.menton_mm), (cx + wide, cy + b, cz + c)
+
+    @property
+    def bounds_mm(self) -> tuple[Point, Point]:
+        """Corners of the grid: the head with a part of its neck, and room around."""
+        (x, y, z), high = self.extent_mm
+        return (x - ROOM_MM, y - ROOM_MM, z - NECK_SHOWN_MM), as_point(np.add(high, ROOM_MM))
 
     def field(self, x: Values, y: Values, z: Values) -> Field:
         """Return distance and gradient at points of the CT frame."""
-        return self._mirror(x, self.parts(x, y, z).whole())
+        return self.mirrored(x, self.parts(x, y, z).whole())
+
+    def own(self, x: Values, y: Values, z: Values) -> tuple[Values, Values, Values]:
+        """Return points of the CT frame from the centre of the cranium."""
+        cx, cy, cz = self.centre_ct_mm
+        return x - cx, y - cy, z - cz
+
+    def mirrored(self, x: Values, field: Field) -> Field:
+        """Return the field with the gradient along x instead of |x|."""
+        return Field(field.value, np.where(x < self.centre_ct_mm[0], -field.x, field.x), field.y, field.z)
 
     def parts(self, x: Values, y: Values, z: Values) -> Parts:
         """Return the bodies at points of the CT frame, gradients along |x|."""
         face, marks = self.face, self._marks
         a, b, c = self.semi_axes_mm
-        side, y, z = x - self.centre_ct_mm[0], y - self.centre_ct_mm[1], z - self.centre_ct_mm[2]
+        side, y, z = self.own(x, y, z)
         left, x = side > 0.0, np.abs(side)
         sellion, menton, nose_base = marks.sellion_mm, marks.menton_mm, marks.nose_base_mm
-        eye = (0.5 * face.eye_distance_mm, -b + 26.0, sellion - PUPIL_BELOW_SELLION_MM)
+        eye = marks.eye(face)
         face_half, jaw_half = 0.5 * face.face_width_mm, 0.5 * face.jaw_width_mm
         front = marks.face_front_mm
 
@@ -120,10 +135,8 @@ class ParametricHead:
         bone = ellipsoid(x, y, z, (face_half - 22.0, front + 38.0, sellion - 32.0), (22.0, 25.0, 15.0))
         lower = ellipsoid(x, y, z, (0.0, front + 50.0, menton + 40.0), (jaw_half - 2.0, 47.0, 38.0))
         chin = ellipsoid(x, y, z, (0.0, front + 17.0, menton + 16.0), (21.0, 16.0, 16.0))
-        lips = ellipsoid(
-            x, y, z, (0.0, front + 11.0, nose_base + MOUTH_SHARE * (menton - nose_base)), (25.0, 13.0, 9.0)
-        )
-        bridge = cone(x, y, z, (0.0, marks.nose_root_mm, sellion), marks.nose_tip, (6.0, 9.5))
+        lips = ellipsoid(x, y, z, (0.0, front + 11.0, marks.mouth_mm), (25.0, 13.0, 9.0))
+        bridge = cone(x, y, z, (0.0, marks.nose_root_mm, sellion), marks.nose_tip, (6.0, NOSE_BALL_MM))
         wing = ellipsoid(
             x,
             y,
@@ -131,8 +144,8 @@ class ParametricHead:
             (0.5 * face.nose_breadth_mm - 6.5, marks.nose_tip[1] + 13.0, nose_base + 7.0),
             (6.5, 9.0, 7.0),
         )
-        folds = np.where(left, *face.ear_folds)
-        open_rad = np.arcsin(min(face.ear_protrusion_mm / face.ear_breadth_mm, 0.9))
+        folds = np.where(left, *face.ear_folds).astype(x.dtype)
+        open_rad = asin(min(face.ear_protrusion_mm / face.ear_breadth_mm, STEEPEST_EAR))
         turn = open_rad + (EAR_FLAT_RAD - open_rad) * folds  # of the ear's plate from the sagittal plane
         half = 0.5 * face.ear_breadth_mm
         ear_centre = (marks.ear[0] + half * np.sin(turn), marks.ear[1] + half * np.cos(turn), marks.ear[2])
@@ -143,18 +156,10 @@ class ParametricHead:
         hollow = turned_ellipsoid(
             x, y, z, hollow_centre, (5.5, 0.62 * half, 0.27 * face.ear_length_mm), -turn
         )
-        brow_z = sellion + 11.0
         return Parts(
             cranium=ellipsoid(x, y, z, (0.0, 0.0, 0.0), (a, b, c)),
             nose=unite(bridge, wing, 5.0),
-            brow=cone(
-                x,
-                y,
-                z,
-                (6.0, marks.brow_front_mm + face.brow_mm, brow_z),
-                (0.62 * face.eye_distance_mm, marks.brow_front_mm + face.brow_mm + 12.0, brow_z + 2.0),
-                (face.brow_mm, face.brow_mm),
-            ),
+            brow=cone(x, y, z, *marks.brow(face), (face.brow_mm, face.brow_mm)),
             socket=ellipsoid(x, y, z, (eye[0], eye[1] - 12.0, eye[2]), (16.0, 11.0, 10.0)),
             eye=ellipsoid(x, y, z, eye, (12.5, 12.5, 12.5)),
             cheek=unite(middle, bone, 14.0),
@@ -171,10 +176,6 @@ class ParametricHead:
             ),
         )
 
-    def _mirror(self, x: Values, field: Field) -> Field:
-        """Return the field with the gradient along x instead of |x|."""
-        return Field(field.value, np.where(x < self.centre_ct_mm[0], -field.x, field.x), field.y, field.z)
-
 
 class Landmarks(NamedTuple):
     """Places of the face from the centre of the cranium."""
@@ -187,6 +188,20 @@ class Landmarks(NamedTuple):
     brow_front_mm: float
     nose_tip: Point  # centre of its ball
     ear: Point  # front edge of the ear
+
+    def eye(self, face: Face) -> Point:
+        """Return the centre of the left eye."""
+        return 0.5 * face.eye_distance_mm, self.brow_front_mm + 27.0, self.sellion_mm - PUPIL_BELOW_SELLION_MM
+
+    def brow(self, face: Face) -> tuple[Point, Point]:
+        """Return the ends of the axis of the left brow."""
+        y, z = self.brow_front_mm + face.brow_mm, self.sellion_mm + BROW_ABOVE_SELLION_MM
+        return (6.0, y, z), (0.62 * face.eye_distance_mm, y + 12.0, z + 2.0)
+
+    @property
+    def mouth_mm(self) -> float:
+        """Height of the mouth."""
+        return self.nose_base_mm + MOUTH_SHARE * (self.menton_mm - self.nose_base_mm)
 
     @classmethod
     def of(cls, semi_axes_mm: Point, face: Face) -> Landmarks:

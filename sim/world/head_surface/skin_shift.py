@@ -26,7 +26,7 @@ PIN_MM = 13.0  # radius of the skin that a pin moves
 PINS = ((1.0, 0.15, 0.25), (-1.0, -0.15, 0.28), (-1.0, 0.45, 0.22))
 TAPE_MM = 22.0  # radius of the skin that a tape over an eye moves
 TAPE_BELOW_MM = 8.0  # of its middle below the pupil
-JAW_EDGE_MM = 14.0  # over which the lower face begins to follow the jaw
+JAW_EDGE_MM = 12.0  # over which skin begins to follow the jaw
 JAW_HINGE_BELOW_MM = 5.0  # of the joints below the tragion
 JAW_LINE_SHARE = 0.25  # of the way from the nose to the chin
 STEP_MM = 0.05  # of the differences that give normals
@@ -65,6 +65,35 @@ class SkinShift(Strict):
         return self == SkinShift(
             seed=self.seed, field_length_mm=self.field_length_mm, field_order=self.field_order
         )
+
+
+# What a clamped, intubated head has to expect: ranges of each displacement (U)
+FIELD_MM, FIELD_LENGTH_MM, OFFSET_MM = (0.1, 0.4), (15.0, 40.0), 0.1
+PILLOW_RANGE_MM, PINS_RANGE_MM, TAPE_RANGE_MM, JAW_RANGE_MM = (
+    (-2.0, 0.5),
+    (-2.0, 1.0),
+    (-0.8, 0.8),
+    (0.0, 4.0),
+)
+DIGITS = 3
+
+
+def draw_shift(generator: np.random.Generator) -> SkinShift:
+    """Draw how the skin of a patient moved."""
+
+    def between(low: float, high: float) -> float:
+        return round(float(generator.uniform(low, high)), DIGITS)
+
+    return SkinShift(
+        seed=int(generator.integers(2**31)),
+        field_mm=between(*FIELD_MM),
+        field_length_mm=between(*FIELD_LENGTH_MM),
+        offset_mm=round(float(generator.normal(0.0, OFFSET_MM)), DIGITS),
+        pillow_mm=between(*PILLOW_RANGE_MM),
+        pins_mm=between(*PINS_RANGE_MM),
+        tape_mm=between(*TAPE_RANGE_MM),
+        jaw_mm=between(*JAW_RANGE_MM),
+    )
 
 
 class ShiftedHead:
@@ -144,12 +173,11 @@ class ShiftedHead:
         # Opening turns the chin down and back, about the axis to the left.
         moved_y, moved_z = -turn * own[:, 2], turn * own[:, 1]
         normals = self.undisplaced.normals(points)
-        # Below the line from the joints to the mouth, in front of the joints.
         mouth = marks.nose_base_mm + JAW_LINE_SHARE * (marks.menton_mm - marks.nose_base_mm) - hinge[2]
-        below = mouth * np.clip(own[:, 1] / chin[1], 0.0, 1.0) - own[:, 2]
-        follows = np.clip(below / JAW_EDGE_MM, 0.0, 1.0) * np.clip(-own[:, 1] / JAW_EDGE_MM, 0.0, 1.0)
-        above_neck = np.clip((own[:, 2] - chin[2]) / JAW_EDGE_MM + 1.5, 0.0, 1.0)
-        return np.asarray(follows * above_neck * (moved_y * normals[:, 1] + moved_z * normals[:, 2]))
+        below = mouth * np.clip(own[:, 1] / chin[1], 0.0, 1.0) - own[:, 2]  # the line from joints to mouth
+        away = head.parts(*points.T).jaw.value
+        follows = np.clip(below / JAW_EDGE_MM, 0.0, 1.0) * np.clip(1.5 - away / JAW_EDGE_MM, 0.0, 1.0)
+        return np.asarray(follows * (moved_y * normals[:, 1] + moved_z * normals[:, 2]))
 
 
 def _with_face(head: ParametricHead, face: Face) -> ParametricHead:
