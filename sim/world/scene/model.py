@@ -25,6 +25,7 @@ from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BAD_SCENE
 from sim.world.descriptions import MAKES
+from sim.world.head_surface.bare_bone import BareBone
 from sim.world.head_surface.face import Face
 from sim.world.head_surface.skin_shift import SkinShift
 from sim.world.options import ArmRole
@@ -105,6 +106,10 @@ class Head(Strict):
     skin_shift: SkinShift = Field(
         default=SkinShift(), description="How the skin moved since the CT; with a face only."
     )
+    bare_bone: BareBone | None = Field(
+        default=None,
+        description="Where the scalp is open in the theatre, on a head with a face; none without.",
+    )
     fiducials: tuple[Fiducial, ...] = Field(
         description="Spheres on bone screws or on the x-shaped frame; none only on a head with a face."
     )
@@ -153,6 +158,8 @@ class Head(Strict):
     def _shifted_skin_has_a_face(self) -> Self:
         if self.face is None and not self.skin_shift.is_none:
             raise ValueError("skin_shift needs a face: the ellipsoid's skin does not move")
+        if self.face is None and self.bare_bone is not None:
+            raise ValueError("bare_bone needs a face: the ellipsoid has no skull of its own")
         return self
 
     @model_validator(mode="after")

@@ -108,7 +108,7 @@ def draw_scene(
         mount = mount.model_copy(update={"guide": Guide(tip_from_frame=GUIDE_FRAME_IN_TIP)})
     protocol = MINI_CT if mini else CtProtocol()
     if on_skin:
-        protocol = protocol.model_copy(update={"slices": ceil(HEAD_AND_CHIN_MM / protocol.slice_mm)})
+        protocol = whole_head(protocol)
     scene = Scene(
         name=name,
         seed=seed,
@@ -130,6 +130,11 @@ def draw_scene(
         servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
     )
     return add_patient_frame(scene) if on_skin and not on_bench else scene
+
+
+def whole_head(protocol: CtProtocol) -> CtProtocol:
+    """Return the protocol with as many slices as head and chin need."""
+    return protocol.model_copy(update={"slices": ceil(HEAD_AND_CHIN_MM / protocol.slice_mm)})
 
 
 def scene_generator(seed: int) -> np.random.Generator:

@@ -6,10 +6,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from sim.world.head_surface.bare_bone import HeadWithBareBone
 from sim.world.head_surface.ellipsoidal_head import EllipsoidalHead
 from sim.world.head_surface.face import Face
 from sim.world.head_surface.parametric_head import ParametricHead
 from sim.world.head_surface.skin_shift import ShiftedHead
+from sim.world.head_surface.skull_surface import SkullSurface
 from sim.world.head_surface.surface import HeadSurface
 from sim.world.rigid import Point, Vector
 from sim.world.scene.model import Head
@@ -32,9 +34,10 @@ def skin_in_ct(head: Head) -> HeadSurface:
 def skin_in_theatre(head: Head) -> HeadSurface:
     """Return the skin as it is in the theatre, in the CT frame: where `robot_from_ct` puts it."""
     faced = head_with_face(head)
-    if faced is None or head.skin_shift.is_none:
+    if faced is None:
         return skin_in_ct(head)
-    return ShiftedHead(faced, head.skin_shift)
+    skin = faced if head.skin_shift.is_none else ShiftedHead(faced, head.skin_shift)
+    return skin if head.bare_bone is None else HeadWithBareBone(skin, SkullSurface(faced), head.bare_bone)
 
 
 def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
