@@ -202,7 +202,7 @@ def _is_seen(bodies: Sequence[Body], eye: Vector, line: _SurfaceLine) -> NDArray
     places = start[asked] + SIGHT_MM[:, None, None] * sight[asked]
     inside = (skin.surface.distance_mm(places.reshape(-1, 3)) < 0.0).reshape(len(SIGHT_MM), -1)
     nearest = np.minimum(np.rint(np.arange(len(sight)) / SIGHT_EVERY).astype(np.intp), len(asked) - 1)
-    covered = inside.any(axis=0)[nearest]
+    covered: NDArray[np.bool_] = np.any(inside, axis=0)[nearest]
     if others:
         covered |= cast_nearest(others, start, sight, float(length.max()))[1] >= 0
     return np.asarray(faces & ~covered)
