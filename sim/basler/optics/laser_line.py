@@ -137,12 +137,12 @@ def trace_line(
         normals = body.surface.normals(points)
         line = _SurfaceLine(points, normals, directions[on], away_mm[on], on)
         hidden = hair.hides(points) if hair is not None and number == 0 else np.zeros(len(on), dtype=bool)
-        layers = [(line, body.finish, ~hidden)]
-        if hair is not None and hidden.any():
-            layers.append((line.raised(hair.thickness_mm(points), seed), HAIR, hidden))
+        seen = _is_seen(bodies, eye, line)
+        layers = [(line, body.finish, seen & ~hidden)]
+        if hair is not None and hidden.any():  # as well seen as the skin under it
+            layers.append((line.raised(hair.thickness_mm(points), seed), HAIR, seen & hidden))
         for layer, finish, bright in layers:
-            seen = bright & _is_seen(bodies, eye, layer)
-            runs.extend(_runs(layer, finish, seen, projector, sheet, eye, camera_from_ct, seed))
+            runs.extend(_runs(layer, finish, bright, projector, sheet, eye, camera_from_ct, seed))
     return tuple(runs)
 
 
@@ -226,9 +226,6 @@ def _runs(
     light = finish.albedo * facing * _electrons_per_us(projector, line.away_mm, sigma_mm)
     gloss = light * finish.gloss * _mirrored(line, eye, seed) if finish.gloss else np.zeros(len(light))
     points = apply(camera_from_ct, line.points)
-    if finish is HAIR:
-        light = light * seen  # strands are as short as the gaps between them
-        seen = np.ones_like(seen)
     index = np.flatnonzero(seen)
     jumps = (np.diff(line.ray[index]) > 1) | (np.abs(np.diff(line.away_mm[index])) > JUMP_MM)
     for part in np.split(index, np.flatnonzero(jumps) + 1):
