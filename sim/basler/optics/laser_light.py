@@ -78,9 +78,13 @@ def add_core(canvas: PixelCanvas, runs: Sequence[ImageRun], speckle: Speckle) ->
         light = _gaussian(off, run.core_px, run.core) * grain
         if run.near.any():
             light += _gaussian(off, run.near_px, run.near) * (1.0 + NEAR_SPECKLE * (grain - 1.0))
-        x, y = columns - canvas.area.x, rows - canvas.area.y
-        inside = (x >= 0) & (x < canvas.area.width) & (y >= 0) & (y < canvas.area.height)
-        canvas.light[y[inside], x[inside]] += light[inside]
+        area = canvas.area
+        x, y = columns - area.x, rows - area.y
+        place, flat = y * area.width + x, canvas.light.reshape(-1)
+        inside = (x >= 0) & (x < area.width) & (y >= 0) & (y < area.height)
+        if not inside.all():
+            place, light = place[inside], light[inside]
+        flat[place] += light
 
 
 def add_glow(canvas: PixelCanvas, runs: Sequence[ImageRun]) -> None:

@@ -20,7 +20,7 @@ from sim.world.head_surface.surface import HeadSurface
 from sim.world.rigid import Array, Matrix, Vector, Vectors, apply, inverse
 from sim.world.scene.line_projector import LineProjector
 
-RAYS = 240  # of the fan: 0.2 mm apart on the skin; a chord of a nose's tip is 1 um off its arc
+RAYS = 180  # of the fan: 0.3 mm apart on the skin; a chord of a nose's tip is 2 um off its arc
 VIEW_MM = 80.0  # before and behind the projector's focus: what lies there may be in a picture
 VIEW_STEPS = 5
 VIEW_MARGIN_PX = 200  # around the area: light that spreads into it
@@ -28,7 +28,7 @@ FURTHEST_MM = 600.0
 LIFT_MM = 0.8  # over the surface, from where it is asked whether anything hides a point from a camera
 # Places on the way to the camera where skin would hide a point; what is thinner than their spacing may not.
 SIGHT_MM = np.array([0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 25.0, 30.0, 36.0, 43.0, 51.0, 60.0, 70.0])
-SIGHT_EVERY = 3  # ray: shadows end within 0.3 mm of their place
+SIGHT_EVERY = 2  # ray: shadows end within 0.3 mm of their place
 JUMP_MM = 1.5  # between neighbouring rays: another part of the surface
 SIGMAS_OF_WIDTH = 4.0  # of a Gaussian beam between the places of 1/e²
 LEAST_INCLINATION = 0.05  # sine between surface and sheet: a line that runs along the sheet has no width
