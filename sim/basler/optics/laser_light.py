@@ -59,9 +59,11 @@ def project_runs(runs: Sequence[LineRun], lens: Lens, area: Area) -> tuple[Image
     pixels = lens.project(points)
     shifts = lens.project(points + np.concatenate([run.across_mm for run in runs])) - pixels
     blurs = lens.blur_sigmas_px(points[:, 2])
-    parts = (np.split(values, ends) for values in (pixels, shifts, blurs))
+    in_image = (np.split(values, ends) for values in (pixels, shifts, blurs))
     return tuple(
-        part for run, *image in zip(runs, *parts, strict=True) for part in _cross_pixels(run, *image, area)
+        part
+        for run, at_px, shift, blur_px in zip(runs, *in_image, strict=True)
+        for part in _cross_pixels(run, at_px, shift, blur_px, area)
     )
 
 
