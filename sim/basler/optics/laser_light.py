@@ -193,6 +193,7 @@ def _at_pixels(
     found = {name: np.interp(at, main, value[part]) for name, value in values.items()}
     end_px = np.minimum(at - main[0], main[-1] - at)  # an end is as blurred as the line
     found["core"] *= np.clip(end_px / (2.0 * widths.blur_px[part].mean()), 0.0, 1.0)
+    found["near"] *= np.clip(0.5 + 0.5 * end_px / near_px[part].mean(), 0.0, 1.0)  # half of it at an end
     return ImageRun(across_rows, at, **found)
 
 
