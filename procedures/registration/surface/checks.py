@@ -29,8 +29,7 @@ from procedures.registration.target_prediction import spread_directions
 from ronna_hw.arrays import Array, Mask
 
 COVERED_MM = 10.0  # a sample this near to a scanned point is covered
-CLEARLY_MIRRORED = 1.4  # ratio of residuals of one side and the other
-LEAST_MIRRORED_MM = 0.25  # smaller residuals are equal
+CLEARLY_MIRRORED_MM2 = 0.1  # between the mean squares of the two sides: a third of a millimetre
 START_SIGMAS = 4.0
 MOVED_TURN_RAD, MOVED_MM = np.radians(1.0), 2.0  # of a head or cart that moved between looks (U)
 MOVED_EVIDENCE = 8.0  # log Bayes factor: one in three thousand, several movements tried
@@ -121,17 +120,19 @@ def share_covered(places_mm: Array, surface: Surface, axes: HeadAxes) -> float:
     return float(np.isfinite(distances).mean())
 
 
-def is_side_proven(found: Settled, used: Mask, points_mm: Array, view_mm: Array, surface: Surface) -> bool:
+def is_side_proven(
+    found: Settled, used: Mask, points_mm: Array, view_mm: Array, surface: Surface, axes: HeadAxes
+) -> bool:
     """Return whether the mirror image of the scan fits clearly worse. Raises SRF-006 if it fits better."""
     flip = np.diag([-1.0, 1.0, 1.0])
-    across = np.array([2.0 * HeadAxes.of(surface).middle_mm[0], 0.0, 0.0])
+    across = np.array([2.0 * axes.middle_mm[0], 0.0, 0.0])
     mirrored = Pose(flip @ found.pose.rotation @ flip, flip @ found.pose.translation_mm + across)
     other = settle(mirrored, points_mm @ flip, view_mm @ flip, surface, used)
-    here = max(found.sigma_of(used), LEAST_MIRRORED_MM)
-    there = max(other.sigma_of(used), LEAST_MIRRORED_MM)
-    if here > CLEARLY_MIRRORED * there:
-        raise MIRRORED_HEAD("left and right of the CT are exchanged", got=f"{there:.2f} mm, else {here:.2f} mm")
-    return there > CLEARLY_MIRRORED * here
+    here, there = found.capped_mm2, other.capped_mm2
+    if here > there + CLEARLY_MIRRORED_MM2:
+        got = f"{there**0.5:.2f} mm rms, else {here**0.5:.2f} mm"
+        raise MIRRORED_HEAD("left and right of the CT are exchanged", got=got)
+    return there > here + CLEARLY_MIRRORED_MM2
 
 
 def require_still(

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.surface.checks import (
@@ -34,7 +33,8 @@ from procedures.registration.surface.checks import (
     weigh_regions,
 )
 from procedures.registration.surface.evidence import SCOUTS
-from procedures.registration.surface.misfit import MISFITS, Misfit, MisfitModel, PoseMixture, mixture_limit_mm
+from procedures.registration.surface.misfit import MISFITS, Misfit, MisfitModel, PoseMixture
+from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
@@ -48,33 +48,6 @@ from ronna_hw.frames import Frame, Transform
 MOST_STEPS = 12
 STILL = 1e-7  # mm and rad: a smaller step changes nothing
 FEWEST_POINTS = 30  # of a scan after thinning: five for each unknown
-
-
-@dataclass(frozen=True, eq=False)
-class SurfacePrediction:
-    """Error of the registration at one target, in the robot frame: a mixture of normal errors.
-
-    Of each hypothesis (h,) the offset (h, 3) from the pose that is used, and the covariance (h, 3, 3).
-    """
-
-    weights: Array
-    offsets_mm: Array
-    covariances_mm2: Array
-
-    @property
-    def covariance_mm2(self) -> Array:
-        """Covariance (3, 3) of the error."""
-        spread = self.offsets_mm[:, :, None] * self.offsets_mm[:, None, :]
-        return np.asarray(np.einsum("h,hij->ij", self.weights, self.covariances_mm2 + spread))
-
-    @property
-    def rms_mm(self) -> float:
-        """Rms magnitude of the error."""
-        return float(np.sqrt(np.trace(self.covariance_mm2)))
-
-    def limit_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
-        """Return the radius in mm that contains the error with this probability."""
-        return mixture_limit_mm(self.weights, self.offsets_mm, self.covariances_mm2, confidence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +123,7 @@ def register_surface(
         require_coverage(0.0, len(thin), limits)
     found = _settle(thin, surface, start, limits)
     used = ~mark_other_bodies(found)
-    side_proven = is_side_proven(found, used, thin.points_mm, thin.view_mm, surface)
+    side_proven = is_side_proven(found, used, thin.points_mm, thin.view_mm, surface, axes)
     used, changed, doubted = _judge_skin(found, used, thin, columns, axes, limits)
     coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
     found, centre, mixture, along = _adjust(found, used, thin, surface, columns, doubted)
