@@ -155,7 +155,9 @@ def find_surface(volume: Volume, tissue: Tissue) -> CtSurface:
     reason = np.where(_is_lone(tree, places, reason == "") & (reason == ""), Reason.SMALL, reason)
     is_surface = reason == ""
     if not is_surface.any():
-        raise NO_SURFACE(f"no part of the {tissue.name} is free", got=f"{body.volume_cm3:.0f} cm3 in one piece")
+        raise NO_SURFACE(
+            f"no part of the {tissue.name} is free", got=f"{body.volume_cm3:.0f} cm3 in one piece"
+        )
     excluded = tuple(
         ExcludedPart(one, float(np.mean(reason == one)), tuple(places[reason == one].mean(axis=0).tolist()))
         for one in Reason
@@ -191,7 +193,8 @@ def find_normals(grid: GreyGrid, spline: NDArray[np.float32], places_mm: Array, 
     """Return unit normals (n, 3) against the gradient; where there is none, the other direction."""
     ends = SLOPE_MM * np.eye(3)
     slope = np.stack(
-        [sample(grid, spline, places_mm - one) - sample(grid, spline, places_mm + one) for one in ends], axis=-1
+        [sample(grid, spline, places_mm - one) - sample(grid, spline, places_mm + one) for one in ends],
+        axis=-1,
     )
     length = np.linalg.norm(slope, axis=1, keepdims=True)
     unit = slope / np.where(length > 0.0, length, 1.0)

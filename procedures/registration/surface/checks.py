@@ -53,7 +53,7 @@ class SurfaceLimits:
     # Safety against a pose from a patch without features. Source: parametric heads.
     least_coverage: float = 0.07
     # Predicted error that contains 95 % of targets.
-    # Safety against a scan that does not determine the target. Source: margin of a plan in the open brain (U).
+    # Safety against a scan that does not determine the target. Source: usual margin of a plan (U).
     largest_error_mm: float = 2.0
     # Robust standard deviation of the distances: skin of the same head stays well below, another head above.
     # Safety against the CT of another patient. Source: parametric heads.
@@ -135,9 +135,7 @@ def is_side_proven(
     return there > here + CLEARLY_MIRRORED_MM2
 
 
-def require_still(
-    model: MisfitModel, jacobian: Array, distances_mm: Array, look: Array
-) -> None:
+def require_still(model: MisfitModel, jacobian: Array, distances_mm: Array, look: Array) -> None:
     """Raise SRF-007 if some looks were taken of a head elsewhere: one of them, or all from one on."""
     numbers = np.unique(look)
     groups = {f"from look {one} on": look >= one for one in numbers[1:]}
@@ -216,15 +214,18 @@ def require_start(pose: Pose, start: Start | None, axes: HeadAxes) -> None:
     turn = float(Rotation.from_matrix(pose.rotation @ before.rotation.T).magnitude())
     robot = (at_mm - pose.translation_mm) @ pose.rotation
     place = float(np.linalg.norm(before.apply(robot[None])[0] - at_mm))
-    if turn > START_SIGMAS * start.turn_rad or place > START_SIGMAS * start.place_mm:
+    turn_limit, place_limit_mm = START_SIGMAS * start.turn_rad, START_SIGMAS * start.place_mm
+    if turn > turn_limit or place > place_limit_mm:
         raise FAR_FROM_START(
             "the registration ended far from its start",
-            limit=f"{np.degrees(START_SIGMAS * start.turn_rad):.1f} deg and {START_SIGMAS * start.place_mm:.1f} mm",
+            limit=f"{np.degrees(turn_limit):.1f} deg and {place_limit_mm:.1f} mm",
             got=f"{np.degrees(turn):.1f} deg and {place:.1f} mm",
         )
 
 
-def require_determined(limit_mm: float, covariance_ct_mm2: Array, target_ct_mm: Array, limits: SurfaceLimits) -> None:
+def require_determined(
+    limit_mm: float, covariance_ct_mm2: Array, target_ct_mm: Array, limits: SurfaceLimits
+) -> None:
     """Raise SRF-003 if the predicted error of a target is too large, with its worst direction."""
     if limit_mm <= limits.largest_error_mm:
         return

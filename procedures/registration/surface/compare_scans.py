@@ -45,7 +45,7 @@ class ScanComparison:
     mixture: PoseMixture = field(repr=False)
 
     def movement_at(self, target_ct_mm: ArrayLike) -> tuple[Array, SurfacePrediction]:
-        """Return the movement (3,) mm of a target of the CT in the robot frame, and its error. Raises REG-001."""
+        """Return how far a target moved, (3,) mm in the robot frame, and its error. Raises REG-001."""
         target = validate_targets(target_ct_mm)[0]
         slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
         mean = self.mixture.mean
@@ -90,7 +90,7 @@ def compare_scans(
 def _read_before(
     before: Settled, first: SurfaceScan, kept: Array, after: Settled
 ) -> tuple[Array, Array, Array]:
-    """Return the mean distance of the first scan around each point of the second, its noise, and if there is any."""
+    """Return the first scan's mean distance around points of the second, its noise, and where it is."""
     places, distances, noise = before.places_mm[kept], before.distances_mm[kept], _along(before, first)[kept]
     apart, near = cKDTree(places).query(after.places_mm, k=NEIGHBOURS, distance_upper_bound=COMMON_MM)
     there = np.isfinite(apart)

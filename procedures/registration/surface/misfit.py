@@ -2,10 +2,10 @@
 
 Skin is not where the CT showed it: it was pressed, taped, swollen. Neighbouring points share that error, so
 five hundred points say far less about the pose than their noise suggests. Each hypothesis states a size and a
-length of the misfit; the pose follows by generalised least squares with its covariance, and the scan tells the
-hypotheses apart by restricted likelihood (Patterson and Thompson 1971), the pose integrated out. The result is
-the mixture, so that an uncertain size widens the limits. Matérn kernels (Stein 1999, Interpolation of Spatial
-Data): the squared exponential, smooth without end, is far too confident here.
+length of the misfit. The pose follows by generalised least squares with its covariance, and the scan tells
+the hypotheses apart by restricted likelihood (Patterson and Thompson 1971), the pose integrated out. The
+result is the mixture, so that an uncertain size widens the limits. Matérn kernels (Stein 1999, Interpolation
+of Spatial Data): the squared exponential, smooth without end, is far too confident here.
 """
 
 from __future__ import annotations

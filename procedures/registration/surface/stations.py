@@ -30,7 +30,7 @@ USUAL = {
 NOISE_MM = 0.05  # of a scanned point (U)
 PLANNED_POINTS = 150  # while poses are compared: the order of the poses does not need more
 FEWEST_POINTS = 12
-WORTH_MM_PER_S = 0.001  # 0.01 mm at the targets for a look of ten seconds (U)
+WORTH_MM_PER_S = 0.0005  # 0.005 mm at the targets for a look of ten seconds (U)
 
 
 def expect_error(
@@ -64,7 +64,7 @@ def expect_error(
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """Look that could be taken: points (n, 3) of the surface that it shows, their normals, and its duration."""
+    """Look that could be taken: points (n, 3) of the surface that it shows, their normals, its duration."""
 
     points_ct_mm: Array
     normals_ct: Array
@@ -128,7 +128,12 @@ def _rms_of(stations: Sequence[Station], targets: Array) -> float:
 
 
 def _expect(
-    points: Array, normals: Array, targets: Array, misfits: dict[Misfit, float], noise_mm: float, shared_mm: Array
+    points: Array,
+    normals: Array,
+    targets: Array,
+    misfits: dict[Misfit, float],
+    noise_mm: float,
+    shared_mm: Array,
 ) -> list[SurfacePrediction]:
     if len(points) < FEWEST_POINTS:
         raise LITTLE_COVERAGE(f"{len(points)} points of the surface", limit=f"{FEWEST_POINTS}")

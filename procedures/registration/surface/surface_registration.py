@@ -46,7 +46,7 @@ from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
 
 MOST_STEPS = 12
-STILL = 1e-7  # mm and rad: a smaller step changes nothing
+STILL = 1e-5  # mm and rad: a smaller step changes nothing
 FEWEST_POINTS = 30  # of a scan after thinning: five for each unknown
 
 
@@ -54,10 +54,10 @@ FEWEST_POINTS = 30  # of a scan after thinning: five for each unknown
 class SurfaceRegistration:
     """Pose robot <- CT by a surface, and its error.
 
-    `points_mm` are those of the thinned scan, `residuals_mm` their distances to the surface; `excluded` marks
-    other bodies and `changed` skin; of `doubted` skin the shift is unknown in the adjustment. `coverage` is the share of the head's surface that was scanned.
-    `side_proven` says whether the mirror image fits clearly worse: if it does not, left and right must be
-    confirmed by another observation.
+    `points_mm` are those of the thinned scan, `residuals_mm` their distances to the surface. `excluded` marks
+    other bodies and `changed` skin; of `doubted` skin the shift is unknown in the adjustment. `coverage` is
+    the share of the head's surface that was scanned. `side_proven` says whether the mirror image fits clearly
+    worse: if it does not, left and right must be confirmed by another observation.
     """
 
     robot_from_ct: Transform
@@ -94,7 +94,9 @@ class SurfaceRegistration:
         if arm_at_target:
             shared, independent_mm2 = at_target(arm_at_target)
             crossed = slope @ self.mixture.gains @ self.along_mm @ shared.T
-            covariances = covariances + crossed + np.swapaxes(crossed, 1, 2) + shared @ shared.T + independent_mm2
+            covariances = (
+                covariances + crossed + np.swapaxes(crossed, 1, 2) + shared @ shared.T + independent_mm2
+            )
         return SurfacePrediction(self.mixture.weights, self.mixture.shifts @ slope.T, covariances)
 
 
@@ -132,8 +134,17 @@ def register_surface(
     matrix[:3, :3], matrix[:3, 3] = found.pose.rotation, found.pose.translation_mm
     ct_from_robot = Transform(Frame.CT, Frame.ROBOT, RigidTransform.from_matrix(matrix))
     registration = SurfaceRegistration(
-        ct_from_robot.inverse(), thin.points_mm, found.distances_mm, ~used, changed, doubted, coverage, side_proven,
-        centre, mixture, along,
+        ct_from_robot.inverse(),
+        thin.points_mm,
+        found.distances_mm,
+        ~used,
+        changed,
+        doubted,
+        coverage,
+        side_proven,
+        centre,
+        mixture,
+        along,
     )
     for target in targets:
         predicted = registration.predict(target)
@@ -158,7 +169,12 @@ def _settle(thin: SurfaceScan, surface: Surface, start: Start | None, limits: Su
 
 
 def _judge_skin(
-    found: Settled, used: Mask, thin: SurfaceScan, columns: ErrorColumns, axes: HeadAxes, limits: SurfaceLimits
+    found: Settled,
+    used: Mask,
+    thin: SurfaceScan,
+    columns: ErrorColumns,
+    axes: HeadAxes,
+    limits: SurfaceLimits,
 ) -> tuple[Mask, tuple[ChangedSkin, ...], tuple[ChangedSkin, ...]]:
     """Return the points whose skin did not change, and the regions that changed, and that may have.
 
@@ -203,14 +219,17 @@ def _adjust(
     columns: ErrorColumns,
     doubted: Sequence[ChangedSkin],
 ) -> tuple[Settled, Array, PoseMixture, Array]:
-    """Step to the mean of all hypotheses; return the pose, its centre, and the mixture about it."""
+    """Step to the mean of all hypotheses; return the pose, its centre, and the mixture about it.
+
+    The slopes stay those of the first pose, with which the shared errors were projected: otherwise a turn of
+    the normals by a hundredth would tell the one from the other.
+    """
     model, jacobian, along = _model(found, used, thin, columns, MISFITS, doubted)
+    centre = found.places_mm[used].mean(axis=0)
     for _ in range(MOST_STEPS):
-        centre = found.places_mm[used].mean(axis=0)
         mixture = model.adjust(jacobian, found.distances_mm[used])
         mean = mixture.mean
         if np.abs(mean).max() < STILL:
             break
         found = Settled.at(found.pose.moved(mean, centre), thin.points_mm, thin.view_mm, surface)
-        jacobian = found.jacobian(found.places_mm[used].mean(axis=0))[used]
     return found, centre, replace(mixture, shifts=mixture.shifts - mean), along

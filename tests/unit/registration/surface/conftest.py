@@ -1,4 +1,4 @@
-"""A head with nose, brows, cheeks and ears by signed distances, and scans of it with a misfit of a known kind."""
+"""A head with nose, brows, cheeks and ears by signed distances, and scans of it with a known misfit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def blend(one: Array, other: Array, width_mm: float) -> Array:
 
 
 class MadeHead:
-    """Head in patient coordinates: x to the left, y to the back, z up. `side` adds a bump on the left only."""
+    """Head in patient coordinates: x to the left, y to the back, z up. `side_mm` adds a bump."""
 
     def __init__(self, seed: int = 0, *, side_mm: float = 0.0, ball: bool = False) -> None:
         draw = np.random.default_rng(seed).uniform
@@ -53,7 +53,7 @@ class MadeHead:
 
     def distance_mm(self, points: Array) -> Array:
         """Signed distance, positive outside."""
-        width, length, height = self.axes
+        width, length, _ = self.axes
         if self.ball:
             return np.asarray(np.linalg.norm(points, axis=-1) - 80.0)
         found = ellipsoid(points, (0, 0, 0), self.axes)
@@ -71,12 +71,18 @@ class MadeHead:
     def find_normals(self, points: Array) -> Array:
         """Outward normals by differences."""
         steps = 0.05 * np.eye(3)
-        slope = np.stack([self.distance_mm(points + one) - self.distance_mm(points - one) for one in steps], -1)
+        slope = np.stack(
+            [self.distance_mm(points + one) - self.distance_mm(points - one) for one in steps], -1
+        )
         return np.asarray(slope / np.linalg.norm(slope, axis=-1, keepdims=True))
 
     def residuals(self, points_ct_mm: Array) -> tuple[Array, Array, Mask]:
         """Distances, normals, and that all are valid."""
-        return self.distance_mm(points_ct_mm), self.find_normals(points_ct_mm), np.ones(len(points_ct_mm), bool)
+        return (
+            self.distance_mm(points_ct_mm),
+            self.find_normals(points_ct_mm),
+            np.ones(len(points_ct_mm), bool),
+        )
 
     def cast(self, origins: Array, directions: Array) -> tuple[Array, Mask]:
         """Where rays meet the head."""
@@ -112,7 +118,7 @@ def make_scan(
     outwards: Callable[[Array], Array] | None = None,
     moved: Callable[[Array, Array], Array] | None = None,
 ) -> MadeScan:
-    """Scan a head whose skin misses that in the CT by a smooth random field, of a kind that no hypothesis has."""
+    """Scan a head whose skin misses that in the CT by a smooth random field, which no hypothesis has."""
     random = np.random.default_rng(seed)
     points, looks, origins = [], [], []
     for number, direction in enumerate(np.asarray(views)):
@@ -134,14 +140,20 @@ def make_scan(
     correlation = np.exp(-0.5 * (cdist(places, places) / length_mm) ** 2) + 1e-7 * np.eye(len(places))
     field = misfit_mm * np.linalg.cholesky(correlation) @ random.normal(size=len(places)) + offset_mm
     field = field if outwards is None else field + outwards(places)
-    measured = places + head.find_normals(places) * field[:, None] + NOISE_MM * random.normal(size=places.shape)
+    measured = (
+        places + head.find_normals(places) * field[:, None] + NOISE_MM * random.normal(size=places.shape)
+    )
     measured = measured if moved is None else moved(measured, look)
     truth = RigidTransform.from_components(random.normal(size=3) * 300.0, Rotation.random(rng=random))
     nearby = RigidTransform.from_components(
         random.normal(size=3) * 3.0, Rotation.from_rotvec(random.normal(size=3) * 0.03)
     )
     scan = SurfaceScan(
-        truth.apply(measured), np.tile(np.eye(3) * NOISE_MM**2, (len(places), 1, 1)), look, look, truth.apply(view)
+        truth.apply(measured),
+        np.tile(np.eye(3) * NOISE_MM**2, (len(places), 1, 1)),
+        look,
+        look,
+        truth.apply(view),
     )
     robot_from_ct = Transform(Frame.ROBOT, Frame.CT, truth)
     return MadeScan(scan, robot_from_ct, Start(Transform(Frame.ROBOT, Frame.CT, truth * nearby), 0.06, 8.0))

@@ -94,7 +94,9 @@ def test_a_head_that_moved_between_two_looks_is_refused(heads, scan_of):
 
 
 def test_skin_that_moved_over_a_third_is_refused_by_name(heads, scan_of):
-    made = scan_of(heads[0], 8, misfit_mm=0.1, outwards=lambda places: np.where(places[:, 0] > 30.0, 1.5, 0.0))
+    made = scan_of(
+        heads[0], 8, misfit_mm=0.1, outwards=lambda places: np.where(places[:, 0] > 30.0, 1.5, 0.0)
+    )
     with raises(SKIN_CHANGED, match="left temple"):
         register_surface(made.scan, heads[0], made.start)
 
@@ -124,14 +126,17 @@ def test_a_scan_that_is_mostly_hair_is_refused(heads, scan_of):
         register_surface(made.scan, heads[0], made.start)
 
 
-def test_a_drape_over_the_vault_is_refused(heads, scan_of):
-    made = scan_of(heads[0], 13, outwards=lambda places: np.where(places[:, 2] > 25.0, 15.0, 0.0))
+def test_drapes_over_a_third_of_the_scan_are_refused(heads, scan_of):
+    def drape(places):
+        return np.where(places[:, 2] > np.quantile(places[:, 2], 0.68), 20.0, 0.0)
+
+    made = scan_of(heads[0], 13, outwards=drape)
     with raises(MUCH_EXCLUDED):
         register_surface(made.scan, heads[0], made.start)
 
 
 def test_numbers_that_mean_nothing_are_refused(heads, scan_of):
-    made = scan_of(heads[0], 14)
+    made, no_look = scan_of(heads[0], 14), SharedErrors("arm", np.zeros((2, 3, 1)), np.zeros((3, 1)))
     spoilt = made.scan.points_mm.copy()
     spoilt[3, 1] = np.nan
     with raises(BAD_SCAN):
@@ -139,7 +144,9 @@ def test_numbers_that_mean_nothing_are_refused(heads, scan_of):
     with raises(BAD_POINTS):
         register_surface(made.scan, heads[0], made.start, targets_ct_mm=[np.nan, 0.0, 0.0])
     with raises(BAD_SURFACE_INPUT):
-        register_surface(made.scan, heads[0], made.start, arm=[SharedErrors("arm", np.zeros((2, 3, 1)), np.zeros((3, 1)))])
+        register_surface(
+            made.scan, heads[0], made.start, arm=[SharedErrors("arm", np.zeros((2, 3, 1)), np.zeros((3, 1)))]
+        )
     with raises(BAD_SURFACE_INPUT):
         Start(made.truth, np.nan, 1.0)
 

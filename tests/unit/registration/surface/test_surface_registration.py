@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from procedures.registration.surface.checks import SurfaceLimits
 from procedures.registration.surface.peers import register_by_closest_points
 from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface_registration import register_surface
@@ -91,7 +92,8 @@ def test_an_error_that_the_arm_has_at_the_target_too_cancels(heads, scan_of):
     made = scan_of(heads[0], 14, views=FACE)
     looks, step = len(np.unique(made.scan.look)), 2.0 * np.eye(3)
     arm = [SharedErrors("tool", np.tile(step, (looks, 1, 1)), step)]
-    found = register_surface(made.scan, heads[0], made.start, arm=arm, targets_ct_mm=TARGETS_MM[0])
+    wide = SurfaceLimits(largest_error_mm=20.0)
+    found = register_surface(made.scan, heads[0], made.start, arm=arm, limits=wide)
     alone = register_surface(made.scan, heads[0], made.start)
     assert found.predict(TARGETS_MM[0]).rms_mm > 3.0
     together = found.predict(TARGETS_MM[0], arm)
