@@ -79,12 +79,12 @@ def parts_columns(rows: Sequence[TargetRow]) -> list[dict[str, object]]:
 
 def pose_columns(poses: Sequence[GuidePose]) -> list[dict[str, object]]:
     """Return the six values of the pose in which the guide was held at each target."""
-    return [
-        {"target": one.target}
-        | dict(zip(("x_mm", "y_mm", "z_mm"), one.values.place_mm, strict=True))
-        | dict(zip(("alpha_deg", "beta_deg", "gamma_deg"), one.values.angles_deg, strict=True))
-        for one in poses
-    ]
+    names = ("x_mm", "y_mm", "z_mm", "alpha_deg", "beta_deg", "gamma_deg")
+    lines: list[dict[str, object]] = []
+    for one in poses:
+        values = (*one.values.place_mm, *one.values.angles_deg)
+        lines.append({"target": one.target, **dict(zip(names, values, strict=True))})
+    return lines
 
 
 def clearance_columns(motions: Sequence[MotionRow]) -> list[dict[str, object]]:
