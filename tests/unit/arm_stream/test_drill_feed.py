@@ -157,10 +157,10 @@ def test_a_force_across_the_drill_is_no_bone_for_a_sensor_whose_axis_along_it_is
 def test_a_force_across_the_drill_that_leaves_the_diploe_to_be_felt_hides_no_breakthrough(
     friction: float,
 ) -> None:
-    drilled = drill(CT, side_N=2.5, friction=friction)
+    drilled = drill(CT, side_N=2.0, friction=friction)
     assert drilled.feed.has_broken_through
     assert drilled.depth_mm == pytest.approx(drill(CT).depth_mm, abs=0.05)
-    assert drilled.feed.peak_side_N == pytest.approx(2.5)
+    assert drilled.feed.peak_side_N == pytest.approx(2.0)
 
 
 @pytest.mark.hazard(65)
@@ -171,7 +171,7 @@ def test_where_it_may_be_friction_or_diploe_that_resists_the_feed_ends_and_is_no
 
 
 @pytest.mark.hazard(65)
-@pytest.mark.parametrize("friction", [0.2, 0.4])
+@pytest.mark.parametrize("friction", [0.2, 0.42])
 @pytest.mark.parametrize("side_N", [2.5, 5.0, 7.0, 7.9])
 def test_friction_of_a_drill_pressed_in_its_guide_takes_it_no_deeper_behind_a_thin_skull(
     side_N: float, friction: float

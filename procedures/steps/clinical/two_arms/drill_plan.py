@@ -27,10 +27,10 @@ SLOW_SHARE = 0.6  # of the limit: from there on the feed is slowed
 # Across the axis: an arm of 80 N/mm yields by 0.1 mm, half of what the guide may move.
 # Safety against a drill that is pressed aside (U).
 SIDE_N = 8.0
-# Hard steel under oil 0.1 to 0.23, dry 0.42 (Kirk-Othmer, Lubrication and Lubricants): what is left of that
-# at `SIDE_N` is below `FREE_N`. A drill that turns in its guide has hardly any along its axis.
+# Hard steel under oil 0.1 to 0.23, dry 0.42 (Kirk-Othmer, Lubrication and Lubricants), and 0.03 of the force
+# across that a sensor takes for one along. A drill that turns in its guide has hardly any along its axis.
 # Safety against friction in the guide taken for bone (U).
-FRICTION = 0.35  # share of the force across the drill
+FRICTION = 0.45  # share of the force across the drill
 # Safety against a drill whose force says nothing: a wrong scale, a dead axis (U).
 BLIND_MM = 0.5  # by which a feed without bone may have been longer
 BONE_BY_MM = 2.0  # behind the skull's outside by the CT
