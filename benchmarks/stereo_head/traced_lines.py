@@ -3,8 +3,8 @@
     python -m benchmarks.stereo_head.traced_lines FOLDER [--keep JSON] [--pictures PNG]
 
 FOLDER holds views by `benchmarks/peers/line_tracer.py`. Prints one row per kind of picture: error of the
-centre in px with its normalized square, and of the points in mm, as they are and about their mean offset along
-the tool axis in each view. `--pictures` writes a crop of each kind.
+centre in px with its normalized square, and of the points in mm, as they are and about their mean offset
+along the tool axis in each view. `--pictures` writes a crop of each kind.
 
 A view is linear light in parts, which are mixed here: lamps of the room, the line on the surface of the skin,
 and the line scattered inside. Speckle is drawn on top: a path tracer has no waves.
