@@ -229,7 +229,7 @@ def _crop(measured: Measured) -> GreyImage:
         rows, columns = picture.shape
         top, left = (rows - CROP_PX[0]) // 2, (columns - CROP_PX[1]) // 2
         crops.append(picture[top : top + CROP_PX[0], left : left + CROP_PX[1]])
-    return np.hstack(crops)
+    return np.asarray(np.hstack(crops), dtype=np.uint8)
 
 
 if __name__ == "__main__":
