@@ -175,8 +175,8 @@ def render_view(number: int, options: argparse.Namespace) -> dict[str, Any]:
     upright = mi.ScalarTransform4f() if np.isinf(axes[1]) else mi.ScalarTransform4f().rotate([1, 0, 0], 90.0)
     shape["to_world"] = as_transform(skin) @ upright
     surface = {
-        "type": "principled", "base_color": mottled(random, float(axes[0]), length_mm), "roughness": 0.45, "specular": 0.5,
-        "flatness": 1.0,
+        "type": "principled", "base_color": mottled(random, float(axes[0]), length_mm),
+        "roughness": 0.45, "specular": 0.5, "flatness": 1.0,
     }  # fmt: skip
     laser = {
         "type": "projector", "to_world": as_transform(projector), "fov": FAN_DEG, "fov_axis": "x",
