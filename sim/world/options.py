@@ -26,10 +26,12 @@ class InstrumentKind(StrEnum):
 
 
 class Carrier(StrEnum):
-    """Sphere mounting in a named scene: on individual screws or on the x-shaped frame."""
+    """Fiducials of a named scene: spheres on screws or on a frame, the skin, or the skin and few spheres."""
 
     FREE = "free"
     XFRAME = "xframe"
+    SURFACE = "surface"
+    MIXED = "mixed"
 
 
 class ArmRole(StrEnum):

@@ -14,6 +14,7 @@ from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Shape, Trough, 
 from sim.world.noise import noise
 from sim.world.rigid import Point, as_point
 from sim.world.scene.model import Fiducial, Head, Scene
+from sim.world.scene.skin import head_extent, head_with_face, skin_in_ct
 from sim.world.skull import DIPLOE_MM, INNER_TABLE_MM, OUTER_TABLE_MM, SCALP_LAYERS_MM, SCALP_MM
 
 AIR_HU = -1000.0
@@ -47,6 +48,8 @@ TEETH_ARC_MM = (23.0, 27.0)  # half width and depth of the dental arch
 TEETH_FRONT = 0.27  # of the semi-axis to the front: middle of the arch
 TOOTH_MM = (2.9, 2.9, 5.5)
 FILLING_RADIUS_MM = 1.7
+LIPS_MM = 14.0  # before the teeth
+LONGEST_POST_MM = 100.0
 
 JAW_RADIUS_MM = 4.0
 
@@ -97,7 +100,7 @@ class HeadLayers:
         for thickness, hu in layers:
             table[depths >= top] = hu
             top += thickness
-        self._table = _blur_table(table, blur_mm / STEP_MM).astype(np.float32)
+        self._table = blur_table(table, blur_mm / STEP_MM).astype(np.float32)
 
     def hu_at(self, x: Values, y: Values, z: Values) -> Values:
         """Return the HU at the given points, using air outside the head."""
@@ -114,7 +117,8 @@ class HeadLayers:
         return None if squared <= 0.0 else (a * sqrt(squared), b * sqrt(squared))
 
 
-def _blur_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+def blur_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """Blur a row of values by a Gaussian of `sigma` steps."""
     if sigma <= 0.0:
         return table
     margin = int(np.ceil(BLUR_MARGIN * sigma))
@@ -225,6 +229,12 @@ def marker_on_metal(
 
 def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
     """Return the distance in mm from the sphere's centre along its post to the skin."""
+    if head.face is not None:
+        down = -np.array([fiducial.post_ct])
+        found = skin_in_ct(head).cast(np.array([fiducial.centre_ct_mm]), down, LONGEST_POST_MM)[0]
+        if np.isnan(found):
+            raise BAD_SCENE(f"the post of fiducial {fiducial.number} is not on the head")
+        return float(found)
     axes = np.array(head.semi_axes_mm)
     start = (np.array(fiducial.centre_ct_mm) - head.centre_ct_mm) / axes
     along = -np.array(fiducial.post_ct) / axes
@@ -248,7 +258,8 @@ def trough(head: Head) -> tuple[Shape, ...]:
 
 def side_cable(head: Head) -> tuple[Shape, ...]:
     """Return a sheathed wire next to the head."""
-    centre = shift_point(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
+    to_cable = head_extent(head)[1][0] - head.centre_ct_mm[0] + CABLE_GAP_MM
+    centre = shift_point(head.centre_ct_mm, (1.0, 0.0, 0.0), to_cable)
     centre = shift_point(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
     return tuple(
         Cable(hu, centre, radius, CABLE_SWING_MM, CABLE_WAVE_MM)
@@ -276,6 +287,10 @@ def jaw_teeth(
 ) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
     """Return an arch of teeth in a jaw, and the metal fillings in some of them."""
     middle = point_at_share(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
+    if (faced := head_with_face(head)) is not None:
+        marks = faced.landmarks
+        front = (0.0, marks.face_front_mm + LIPS_MM + TEETH_ARC_MM[1], marks.mouth_mm)
+        middle = as_point(np.add(head.centre_ct_mm, front))
     width, depth = TEETH_ARC_MM
     angles = np.linspace(-TEETH_ARC_RAD, TEETH_ARC_RAD, TEETH)
     crowns = [
