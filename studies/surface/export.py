@@ -50,7 +50,7 @@ def export_study(study: SurfaceStudy, folder: Path, progress: Callable[[float], 
     for number in heads:
         _write_head(folder / "heads" / f"{_head_name(number)}.ply", draw_head(study.seed, number))
     for done, unit in enumerate(units, start=1):
-        name = _scan_name(unit)
+        name = scan_name(unit)
         cases[name], truths[name] = _write_case(folder / "scans" / f"{name}.ply", study.seed, unit)
         progress(done / len(units))
     for name, content in (("cases", cases), ("truth", truths)):
@@ -126,7 +126,8 @@ def _head_name(number: int) -> str:
     return f"head-{number:04d}"
 
 
-def _scan_name(unit: Unit) -> str:
+def scan_name(unit: Unit) -> str:
+    """Return the name of a scan, without its folder."""
     plain = unit.condition.lower().replace("é", "e")
     words = "".join(c if c.isalnum() else " " for c in plain).split()
     return f"{_head_name(unit.block)}-{'-'.join(words)}"
