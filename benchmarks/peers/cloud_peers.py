@@ -71,16 +71,18 @@ def methods(
             yield (
                 f"small-gicp {kind}",
                 f"pairs up to {reach:g} mm",
-                lambda kind=kind, reach=reach: small_gicp.align(  # type: ignore[misc]
-                    target,
-                    source,
-                    tree,
-                    init_T_target_source=start,
-                    registration_type=kind,
-                    max_correspondence_distance=reach,
-                    num_threads=1,
-                    max_iterations=ITERATIONS,
-                ).T_target_source,
+                lambda kind=kind, reach=reach: (
+                    small_gicp.align(  # type: ignore[misc]
+                        target,
+                        source,
+                        tree,
+                        init_T_target_source=start,
+                        registration_type=kind,
+                        max_correspondence_distance=reach,
+                        num_threads=1,
+                        max_iterations=ITERATIONS,
+                    ).T_target_source
+                ),
             )
     cloud, surface = _cloud(scan), _cloud(skin)
     surface.normals = o3d.utility.Vector3dVector(normals)
@@ -95,9 +97,11 @@ def methods(
             yield (
                 f"Open3D {name.partition(';')[0]}",
                 f"pairs up to {reach:g} mm{name.partition(';')[2]}",
-                lambda align=align, reach=reach, estimation=estimation: align(  # type: ignore[misc]
-                    cloud, surface, reach, start, estimation, stop
-                ).transformation,
+                lambda align=align, reach=reach, estimation=estimation: (
+                    align(  # type: ignore[misc]
+                        cloud, surface, reach, start, estimation, stop
+                    ).transformation
+                ),
             )
 
 

@@ -64,7 +64,7 @@ def main() -> None:
     }
     (given.out / "same_clouds.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
     (given.out / "same_clouds.md").write_text(table.markdown(), encoding="utf-8")
-    print(table.markdown())  # noqa: T201
+    print(table.markdown())
 
 
 class JudgedClouds(SurfaceStudy):
@@ -89,9 +89,11 @@ def _register(study: SurfaceStudy) -> tuple[Results, dict[str, float], dict[str,
         surface, name = in_ct.with_offset(draw.offset_mm), scan_name(unit)
         targets = _targets(study, unit, in_ct)
         ways: dict[tuple[str, str], Callable[[], Transform]] = {
-            (OURS, ""): lambda trial=trial, surface=surface, targets=targets: register_surface(  # type: ignore[misc]
-                trial.scan, surface, trial.start, targets_ct_mm=targets
-            ).robot_from_ct,
+            (OURS, ""): lambda trial=trial, surface=surface, targets=targets: (
+                register_surface(  # type: ignore[misc]
+                    trial.scan, surface, trial.start, targets_ct_mm=targets
+                ).robot_from_ct
+            ),
             ("closest points from principal axes (thesis)", ""): lambda trial=trial, surface=surface: (  # type: ignore[misc]
                 register_by_closest_points(trial.scan, surface)
             ),
@@ -170,8 +172,8 @@ def _table(
     return Table.of(
         "The same clouds",
         rows,
-        f"{len(names)} clouds, of which ours refused {len(refused)}. Mean of six targets each. The setting of a "
-        "peer is the one with the least mean error here. Times with one thread, without the building of trees.",
+        f"{len(names)} clouds, of which ours refused {len(refused)}. Mean of six targets each. The setting "
+        "of a peer is the one with the least mean error here. Times with one thread, without building trees.",
     )
 
 

@@ -92,7 +92,7 @@ DEPTHS_MM: Mapping[str, tuple[float, float]] = {
 TARGETS_EACH = 2
 
 SHIFTED = "a third shifted by 1 mm"  # condition of its own
-SHIFTS = 100
+SHIFTS, SHIFTS_EACH = 100, 10  # scans, and how many of them of one head
 SHIFT_MM, SHIFTED_SHARE, SHIFT_EDGE_MM = 1.0, 1.0 / 3.0, 5.0
 SHIFT_COVERAGE, SHIFT_SKIN, SHIFT_SIZE_MM = Coverage.FRONT_AND_EARS, Skin.SMOOTHEST, 0.1
 

@@ -15,7 +15,7 @@ from procedures.registration.surface.scan import SurfaceScan
 from ronna_hw.records import write_atomically
 from studies.campaign.study import Unit, generator
 from studies.surface.heads import HeadInCt, draw_head
-from studies.surface.study import TARGETS_SEED, SurfaceStudy, draw_unit
+from studies.surface.study import TARGETS_SEED, SurfaceStudy, draw_unit, head_of
 
 HEAD_SPACING_MM = 1.5  # about that of a mesh from a CT
 UPPER = tuple((row, column) for row in range(3) for column in range(row, 3))  # of a covariance
@@ -46,7 +46,7 @@ def export_study(study: SurfaceStudy, folder: Path, progress: Callable[[float], 
         (folder / name).mkdir(parents=True, exist_ok=True)
     cases, truths = {}, {}
     units = study.units()
-    heads = sorted({unit.block for unit in units})
+    heads = sorted({head_of(unit) for unit in units})
     for number in heads:
         _write_head(folder / "heads" / f"{_head_name(number)}.ply", draw_head(study.seed, number))
     for done, unit in enumerate(units, start=1):
@@ -65,7 +65,7 @@ def _write_case(path: Path, seed: int, unit: Unit) -> tuple[dict[str, Any], dict
     in_ct, trial, draw = draw_unit(seed, unit)
     write_atomically(path, ply(_scan_columns(trial.scan)))
     case = {
-        "head": _head_name(unit.block),
+        "head": _head_name(head_of(unit)),
         "level_in_ct_mm": draw.offset_mm,
         "start_robot_from_ct": trial.start.robot_from_ct.as_matrix().tolist(),
         "start_turn_rad": trial.start.turn_rad,

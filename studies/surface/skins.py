@@ -62,10 +62,14 @@ def _patches(head: ParametricHead, points_mm: Array, draw: Draw, random: np.rand
 
 
 def _swelling(head: ParametricHead, points_mm: Array, draw: Draw, random: np.random.Generator) -> Array:
-    """Displace by a quadratic form of the place. A linear one would nearly be a movement, not a misfit."""
+    """Displace by a quadratic form of the place, of the stated size in the mean of the points.
+
+    A linear one would nearly be a movement, not a misfit.
+    """
     x, y, z = (points_mm / np.asarray(head.semi_axes_mm)).T
     terms = np.array([x * x, y * y, z * z, x * y, y * z, z * x])
-    return np.asarray(draw.size_mm * (random.standard_normal(QUADRATIC_TERMS) @ terms))
+    form = random.standard_normal(QUADRATIC_TERMS) @ terms
+    return np.asarray(draw.size_mm * form / np.sqrt(np.mean(form**2)))
 
 
 def _tape(head: ParametricHead, points_mm: Array, draw: Draw, random: np.random.Generator) -> Array:

@@ -21,6 +21,7 @@ from studies.surface.conditions import (
     SHIFT_SKIN,
     SHIFTED,
     SHIFTS,
+    SHIFTS_EACH,
     SHOWN_MODELLED,
     Coverage,
     Draw,
@@ -88,9 +89,14 @@ class SurfaceStudy(Study):
         return {f"{unit.block}|{name}": value for name, value in found.items()}
 
 
+def head_of(unit: Unit) -> int:
+    """Return the number of a unit's head. Several shifts share one: drawing it takes longer than a scan."""
+    return unit.block // SHIFTS_EACH if unit.condition == SHIFTED else unit.block
+
+
 def draw_unit(seed: int, unit: Unit) -> tuple[HeadInCt, Trial, Draw]:
     """Draw the head of a unit, its scan and the values behind it."""
-    in_ct = draw_head(seed, unit.block)
+    in_ct = draw_head(seed, head_of(unit))
     random = generator(seed, unit)
     draw = Draw.of(random)
     if unit.condition == SHIFTED:
