@@ -23,7 +23,7 @@ import small_gicp  # type: ignore[import-not-found]  # likewise
 
 PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4"}
 # The sweep: each method with each of these
-DISTANCES_MM = (2.0, 5.0, 10.0)  # pairs further apart are left out
+DISTANCES_MM = (2.0, 10.0)  # pairs further apart are left out; 5 mm does not differ
 KERNEL_WIDTHS_MM = (0.3, 1.0)  # of robust kernels
 SCAN_NORMALS = 12  # neighbours for the covariances of a scan's points
 ITERATIONS = 60

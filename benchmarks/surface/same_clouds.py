@@ -14,7 +14,8 @@ import argparse
 import json
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +27,15 @@ from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from studies.campaign.study import Cell, Table, Unit, generator
-from studies.surface.conditions import JUDGED, SHIFTED
+from studies.surface.conditions import JUDGED, SHIFTED, Coverage
 from studies.surface.export import export_study, scan_name
 from studies.surface.heads import HeadInCt
 from studies.surface.scanning import Trial
 from studies.surface.study import TARGETS_SEED, SurfaceStudy, draw_unit
 
 OURS = "ours"
+BY_AXES = "closest points from the principal axes (thesis)"
+BY_CLOSEST = "closest points from the start (thesis)"
 OVERLAPS = (0.8, 0.95)
 FAR_MM = 5.0  # a mean error beyond is a registration that failed
 Results = dict[str, dict[str, dict[str, float]]]  # method -> setting -> scan -> mean error, mm
@@ -88,25 +91,13 @@ def _register(study: SurfaceStudy) -> tuple[Results, dict[str, float], dict[str,
         in_ct, trial, draw = draw_unit(study.seed, unit)
         surface, name = in_ct.with_offset(draw.offset_mm), scan_name(unit)
         targets = _targets(study, unit, in_ct)
-        ways: dict[tuple[str, str], Callable[[], Transform]] = {
-            (OURS, ""): lambda trial=trial, surface=surface, targets=targets: (
-                register_surface(  # type: ignore[misc]
-                    trial.scan, surface, trial.start, targets_ct_mm=targets
-                ).robot_from_ct
-            ),
-            ("closest points from principal axes (thesis)", ""): lambda trial=trial, surface=surface: (  # type: ignore[misc]
-                register_by_closest_points(trial.scan, surface)
-            ),
-            **{
-                (
-                    "closest points from the start (thesis)",
-                    f"overlap {overlap:g}",
-                ): lambda trial=trial, surface=surface, overlap=overlap: register_by_closest_points(  # type: ignore[misc]
-                    trial.scan, surface, trial.start, overlap=overlap
-                )
-                for overlap in OVERLAPS
-            },
-        }
+        ways = {(OURS, ""): partial(_ours, trial, surface, targets)}
+        if unit.condition.startswith(f"{Coverage.ALL}|"):  # principal axes need the whole head
+            ways[BY_AXES, ""] = partial(register_by_closest_points, trial.scan, surface)
+        for overlap in OVERLAPS:
+            ways[BY_CLOSEST, f"overlap {overlap:g}"] = partial(
+                register_by_closest_points, trial.scan, surface, trial.start, overlap=overlap
+            )
         for (method, setting), run in ways.items():
             since = time.process_time()
             try:
@@ -120,6 +111,10 @@ def _register(study: SurfaceStudy) -> tuple[Results, dict[str, float], dict[str,
             error_mm = _error_mm(pose.as_matrix(), trial, targets)
             found.setdefault(method, {}).setdefault(setting, {})[name] = round(error_mm, 4)
     return found, seconds, refused
+
+
+def _ours(trial: Trial, surface: HeadInCt, targets: Array) -> Transform:
+    return register_surface(trial.scan, surface, trial.start, targets_ct_mm=targets).robot_from_ct
 
 
 def _add_peers(found: Results, seconds: dict[str, float], poses: Path, study: SurfaceStudy) -> None:
