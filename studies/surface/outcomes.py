@@ -54,15 +54,16 @@ class Outcome:
 
 def read_outcomes(sums: Mapping[str, Sums]) -> list[Outcome]:
     """Return all outcomes, in the order of conditions and heads."""
-    found = []
+    found: list[Outcome] = []
     for condition, content in sums.items():
         by_head: dict[int, dict[str, float]] = defaultdict(dict)
         for key, value in content.items():
             head, name = key.split("|", 1)
             by_head[int(head)][name] = value
         coverage, _, skin = condition.partition("|")
-        for head, values in sorted(by_head.items()):
-            found.append(_read(coverage, skin or SHIFTED, head, values))
+        found += [
+            _read(coverage, skin or SHIFTED, number, values) for number, values in sorted(by_head.items())
+        ]
     return found
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.registration.surface.scan import SurfaceScan
+from procedures.registration.surface.scan import Numbers, SurfaceScan
 from procedures.registration.surface.starts import Start
-from ronna_hw.arrays import Array
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
 from sim.world.head_surface.parametric_head import ParametricHead
 from sim.world.head_surface.regions import hair_mm, hidden_by_hair
@@ -50,6 +51,15 @@ class Trial:
     scan: SurfaceScan
     start: Start
     truth: Transform
+
+
+class Lit(NamedTuple):
+    """Lit points that both cameras see: places and those of their projectors (n, 3), looks and lines (n,)."""
+
+    points_mm: Array
+    projectors_mm: Array
+    look: Numbers
+    line: Numbers
 
 
 def draw_trial(
@@ -104,8 +114,8 @@ def _with_hair(head: ParametricHead, hair: Hair, random: np.random.Generator) ->
 
 
 @lru_cache(maxsize=len(COVERAGES))
-def _find_visible(head: ParametricHead, looks: tuple[Direction, ...]) -> tuple[Array, Array, Array, Array]:
-    """Return lit points that both cameras see, their projectors (n, 3), looks and lines (n,)."""
+def _find_visible(head: ParametricHead, looks: tuple[Direction, ...]) -> Lit:
+    """Return the lit points that both cameras see."""
     aim = np.asarray(head.centre_ct_mm) - [0.0, 0.0, AIM_BELOW_MM]
     parts = []
     for number, towards in enumerate(unit_directions(looks)):
@@ -129,11 +139,10 @@ def _find_visible(head: ParametricHead, looks: tuple[Direction, ...]) -> tuple[A
             seen &= _is_seen(head, points, aim + AWAY_MM * (np.cos(angle) * towards + np.sin(angle) * across))
         count = int(seen.sum())
         parts.append((points[seen], np.tile(projector, (count, 1)), np.full(count, number), line[seen]))
-    points, projectors, look, line = (np.concatenate(one) for one in zip(*parts, strict=True))
-    return points, projectors, look, line
+    return Lit(*(np.concatenate(one) for one in zip(*parts, strict=True)))
 
 
-def _is_seen(head: ParametricHead, points: Array, place: Array) -> Array:
+def _is_seen(head: ParametricHead, points: Array, place: Array) -> Mask:
     """Return whether points (n, 3) of the skin are seen from a place, and not at too flat an angle."""
     rays = points - place
     away = np.linalg.norm(rays, axis=1)

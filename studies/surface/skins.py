@@ -73,35 +73,30 @@ def _swelling(head: ParametricHead, points_mm: Array, draw: Draw, random: np.ran
 
 
 def _tape(head: ParametricHead, points_mm: Array, draw: Draw, random: np.random.Generator) -> Array:
-    return _events(
-        head,
-        points_mm,
-        random,
+    shift = SkinShift(
         tape_mm=_event(TAPE_SHARE * draw.size_mm * random.standard_normal()),
         jaw_mm=_event(JAW_SHARE * draw.size_mm * abs(random.standard_normal())),
     )
+    return _events(head, points_mm, shift, random)
 
 
 def _pillow(head: ParametricHead, points_mm: Array, draw: Draw, random: np.random.Generator) -> Array:
-    return _events(
-        head,
-        points_mm,
-        random,
+    shift = SkinShift(
         pillow_mm=_event(-PILLOW_SHARE * draw.size_mm * abs(random.standard_normal())),
         pins_mm=_event(PIN_SHARE * draw.size_mm * random.standard_normal()),
     )
+    return _events(head, points_mm, shift, random)
 
 
-def _events(head: ParametricHead, points_mm: Array, random: np.random.Generator, **events_mm: float) -> Array:
+def _events(head: ParametricHead, points_mm: Array, events: SkinShift, random: np.random.Generator) -> Array:
     """Displace by named events beside a weak field."""
-    shift = SkinShift(
-        seed=_seed(random),
-        field_mm=BESIDE_MM,
-        field_length_mm=BESIDE_LENGTH_MM,
-        field_order=ORDERS[Skin.SMOOTH],
-        **events_mm,
-    )
-    return ShiftedHead(head, shift).shift_mm(points_mm)
+    field = {
+        "seed": _seed(random),
+        "field_mm": BESIDE_MM,
+        "field_length_mm": BESIDE_LENGTH_MM,
+        "field_order": ORDERS[Skin.SMOOTH],
+    }
+    return ShiftedHead(head, events.model_copy(update=field)).shift_mm(points_mm)
 
 
 _KINDS: Mapping[Skin, Displacement] = {
