@@ -1,4 +1,4 @@
-"""Localizer and matcher of a case, with the mark of those that are not for clinical use.
+"""Methods of a case, with the mark of those that are not for clinical use.
 
 Free of numerics, since every command imports this at start-up.
 """
@@ -31,6 +31,7 @@ class Matcher(StrEnum):
 class CaseMethods:
     """Localizer and matcher of a case; `e_mm` and `refused_share` are of the thesis' matcher.
 
+    With `enhance_contrast` the stereo head's pictures are equalized before their edges are sought (1.4).
     Raises REG-007 if one of the two is out of range.
     """
 
@@ -41,15 +42,18 @@ class CaseMethods:
     matcher: Matcher = Matcher.OURS
     e_mm: float = E_MM
     refused_share: float = REFUSED_SHARE
+    enhance_contrast: bool = False
 
     def __post_init__(self) -> None:
         check_thesis_settings(self.e_mm, self.refused_share)
 
     def describe(self) -> str:
-        """Name the methods with their mark, or return '' if both are for clinical use."""
-        if LOCALIZERS[self.localizer].is_clinical and self.matcher.is_clinical:
+        """Name the methods with their mark, or return '' if all are for clinical use."""
+        is_clinical = LOCALIZERS[self.localizer].is_clinical and self.matcher.is_clinical
+        if is_clinical and not self.enhance_contrast:
             return ""
         matcher = str(self.matcher)
         if self.matcher is Matcher.THESIS:
             matcher += f" (e {self.e_mm:g} mm, refused share {self.refused_share:g})"
-        return f"localizer {self.localizer}, matcher {matcher}: {NOT_CLINICAL}"
+        contrast = ", contrast enhanced" if self.enhance_contrast else ""
+        return f"localizer {self.localizer}, matcher {matcher}{contrast}: {NOT_CLINICAL}"

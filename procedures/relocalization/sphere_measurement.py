@@ -66,7 +66,7 @@ def measure_sphere(
 
     Any byte order is accepted. `radius_range_px` excludes discs of another size when the size is known.
     `enhance_contrast` equalizes the contrast first, as the thesis does (1.4); it moves the edges, and gains
-    nothing here: for comparison.
+    nothing here: for comparison, and not for clinical use.
     Raises STE-001 for any other image, STE-004 for an empty range, STE-002 without contrast, STE-011 when
     fully saturated, STE-003 when no sphere is in view. A sphere with too little visible rim is returned as
     UNRELIABLE.
@@ -92,10 +92,11 @@ def measure_sphere(
 
 
 def measure_spheres(
-    image: GreyImage, *, radius_range_px: tuple[float, float] | None = None
+    image: GreyImage, *, radius_range_px: tuple[float, float] | None = None, enhance_contrast: bool = False
 ) -> tuple[SphereImage, ...]:
     """Measure every disc that may be a sphere, most visible rim first."""
-    return tuple(sphere for sphere in _iterate_spheres(image, radius_range_px) if sphere is not None)
+    found = _iterate_spheres(image, radius_range_px, enhance_contrast=enhance_contrast)
+    return tuple(sphere for sphere in found if sphere is not None)
 
 
 def _iterate_spheres(
@@ -175,9 +176,11 @@ def locate_sphere(
     calibration: StereoHeadCalibration,
     *,
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
+    enhance_contrast: bool = False,
 ) -> SphereSighting:
     """Locate the sphere seen by both cameras. There is no point if a camera sees too little of it.
 
+    `enhance_contrast` as for `measure_sphere`.
     Raises the errors of `measure_sphere` with the camera's name, STE-005 or STE-006 when no two round shapes
     match, and ARG-001 for what is no calibration.
     """
@@ -185,7 +188,7 @@ def locate_sphere(
     images = (left, right)
     cameras = calibration.left, calibration.right
     ranges = tuple(radius_range_px(camera, sphere_diameter_mm) for camera in cameras)
-    shapes = _measure_outlines(images, ranges)
+    shapes = _measure_outlines(images, ranges, enhance_contrast)
     if any(one.status is SphereStatus.UNRELIABLE for one in shapes):
         return SphereSighting(*shapes, None)
     try:
@@ -193,7 +196,7 @@ def locate_sphere(
             *shapes, triangulate(*shapes, calibration, sphere_diameter_mm=sphere_diameter_mm)
         )
     except (RaysDoNotMeet, WrongSize):
-        sighting = _find_agreeing(images, ranges, calibration, sphere_diameter_mm)
+        sighting = _find_agreeing(images, ranges, calibration, sphere_diameter_mm, enhance_contrast)
         if sighting is None:
             raise
         return sighting
@@ -212,14 +215,14 @@ def sphere_radius_px(camera: CameraCalibration, sphere_diameter_mm: float) -> fl
 
 
 def _measure_outlines(
-    images: tuple[AreaImage, AreaImage], ranges: tuple[tuple[float, float], ...]
+    images: tuple[AreaImage, AreaImage], ranges: tuple[tuple[float, float], ...], enhance_contrast: bool
 ) -> tuple[SphereImage, SphereImage]:
     """Measure the best outline in each image, in full-sensor pixels."""
     found: list[SphereImage] = []
     problems: dict[str, DataError] = {}
     for side, image, limits in zip(SIDES, images, ranges, strict=True):
         try:
-            outline = measure_sphere(image.pixels, radius_range_px=limits)
+            outline = measure_sphere(image.pixels, radius_range_px=limits, enhance_contrast=enhance_contrast)
         except DataError as problem:
             problems[f"{side} camera"] = problem
         else:
@@ -245,12 +248,15 @@ def _find_agreeing(
     ranges: tuple[tuple[float, float], ...],
     calibration: StereoHeadCalibration,
     sphere_diameter_mm: float,
+    enhance_contrast: bool,
 ) -> SphereSighting | None:
     """Find the reliable outlines with the smallest ray gap, or return None if none agree."""
     found = [
         [
             shape.with_offset(image.offset_x_px, image.offset_y_px)
-            for shape in measure_spheres(image.pixels, radius_range_px=limits)
+            for shape in measure_spheres(
+                image.pixels, radius_range_px=limits, enhance_contrast=enhance_contrast
+            )
             if shape.status is SphereStatus.OK
         ]
         for image, limits in zip(images, ranges, strict=True)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from procedures.journal.journal import Entry
 from procedures.reporting.run_reading import RunReading
-from procedures.reporting.tables import MotionRow, TargetRow
+from procedures.reporting.tables import GuidePose, MotionRow, TargetRow
 from ronna_hw.bounded_input import InputRefused, read_bounded, read_json_bytes
 from ronna_hw.evidence.manifest import PICTURES_FOLDER, read_hashes
 from ronna_hw.records import write_atomically
@@ -44,6 +44,10 @@ class ReportFiles:
     def drawing(self, name: str, svg: str, rows: Sequence[Mapping[str, object]]) -> None:
         """Write a drawing, and its data as a table of the same name."""
         self.text(f"{name}.svg", svg)
+        self.table(name, rows)
+
+    def table(self, name: str, rows: Sequence[Mapping[str, object]]) -> None:
+        """Write a table; its first row has the names of all columns."""
         self.text(f"{name}.csv", _csv(rows))
 
 
@@ -70,6 +74,16 @@ def parts_columns(rows: Sequence[TargetRow]) -> list[dict[str, object]]:
             vector = zip("xyz", getattr(row.parts, f"{part}_mm"), strict=True)
             line |= {f"{part}_error_mm": length_mm} | {f"{part}_{axis}_mm": value for axis, value in vector}
         lines.append(line)
+    return lines
+
+
+def pose_columns(poses: Sequence[GuidePose]) -> list[dict[str, object]]:
+    """Return the six values of the pose in which the guide was held at each target."""
+    names = ("x_mm", "y_mm", "z_mm", "alpha_deg", "beta_deg", "gamma_deg")
+    lines: list[dict[str, object]] = []
+    for one in poses:
+        values = (*one.values.place_mm, *one.values.angles_deg)
+        lines.append({"target": one.target, **dict(zip(names, values, strict=True))})
     return lines
 
 

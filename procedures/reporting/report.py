@@ -24,6 +24,7 @@ from procedures.reporting.files import (
     load_check,
     load_pictures,
     parts_columns,
+    pose_columns,
     store_check,
     target_columns,
 )
@@ -166,6 +167,8 @@ def _write_drawings(files: ReportFiles, page: Page) -> None:
         files.drawing("targets", page.targets.picture, target_columns(table.rows))
         if page.targets.parts_picture:
             files.drawing("error_parts", page.targets.parts_picture, parts_columns(table.split))
+        if page.targets.poses:
+            files.table("guide_poses", pose_columns(page.targets.poses))
     if page.course.spans:
         files.drawing("timeline", page.course.timeline_picture, list(map(asdict, page.course.spans)))
     if page.devices.link_bins:

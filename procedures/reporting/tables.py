@@ -16,6 +16,7 @@ from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, 
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import Prediction
 from procedures.steps.clinical.target_measurement import MeasuredTarget
+from procedures.strategies.pose_values import PoseValues
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,13 @@ class TargetRow:
         if self.margin_mm is None:
             return None
         return judge_error(self.margin_mm, self.predicted.rms_mm, self.predicted.limit_mm, self.known_mm)
+
+
+class GuidePose(NamedTuple):
+    """Pose in which the guide was held at a target, by the nominal arm at the measured joints."""
+
+    target: str | None
+    values: PoseValues
 
 
 class ShareRow(NamedTuple):

@@ -142,6 +142,7 @@ def build_engine(
         calibrations=calibrations,
         calibrating=prepared.calibrations is not None,
         histories=_arm_histories(clinical, previous),
+        enhance_contrast=clinical is not None and clinical.methods.enhance_contrast,
     )
     _ = workcell.devices  # made now: what a driver refuses is said before the first line of the journal
     journal.write(

@@ -76,9 +76,12 @@ def whole_sensor(camera: CameraCalibration) -> AreaOfInterest:
     return AreaOfInterest(0, 0, columns, rows)
 
 
-def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -> Look:
+def look(
+    stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock, *, enhance_contrast: bool = False
+) -> Look:
     """Take a stereo pair and measure the sphere in it, retrying if the pair is incomplete or stale.
 
+    `enhance_contrast` equalizes both images first, as the thesis does.
     Raises STE-012 if none is usable: a search elsewhere would not help.
     """
     for _ in range(1 + FURTHER_TRIES):
@@ -93,7 +96,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
         )
     images = (_as_area_image(reading.left), _as_area_image(reading.right))
     try:
-        seen = locate_sphere(*images, calibration)
+        seen = locate_sphere(*images, calibration, enhance_contrast=enhance_contrast)
     except NOT_SEEN as error:
         return Look(reading, None, None, None, error)
     problem = None

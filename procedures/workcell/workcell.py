@@ -64,12 +64,13 @@ class Workcell:
         calibrating: bool = False,
         histories: Mapping[str, ArmHistory] = ONE_ARM,
         make_arms: Callable[..., Arms] = Arms,
+        enhance_contrast: bool = False,
     ) -> None:
         """Create the workcell without opening or moving anything.
 
         `calibrations` replace those of the theatre file. While `calibrating`, a tool's record may refer to a
         former tip. `histories` name the arms by role, the master first; a resumed run knows more of them.
-        `make_arms` makes what moves them, as the constructor of `Arms`.
+        `make_arms` makes what moves them, as the constructor of `Arms`. `enhance_contrast` is for every look.
         Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, ARM-009, CFG-004 and
         CAL-013.
         """
@@ -97,6 +98,7 @@ class Workcell:
         # Callbacks of a display: quick, never raise.
         self.on_look: Callable[[Look], None] = lambda _look: None
         self.on_stop_failed: Callable[[str], object] = lambda _failure: None
+        self._enhance_contrast = enhance_contrast
         self.sensors = Sensors(lambda: self.stereo, self.calibrations.stereo_head)
 
     @property
@@ -236,7 +238,8 @@ class Workcell:
 
     def look(self) -> Look:
         """Take a stereo pair and measure the sphere in it. Raises STE-012 without a fresh, complete pair."""
-        seen = look(self.stereo, self.calibrations.stereo_head, self.clock)
+        head, enhance_contrast = self.calibrations.stereo_head, self._enhance_contrast
+        seen = look(self.stereo, head, self.clock, enhance_contrast=enhance_contrast)
         self.on_look(seen)
         return seen
 

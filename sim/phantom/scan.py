@@ -14,7 +14,15 @@ import numpy as np
 from sim.phantom.head.adhesive import skin_rings
 from sim.phantom.head.anatomy import AIR_HU, Anatomy, draw_anatomy
 from sim.phantom.head.faced_layers import layers_of
-from sim.phantom.head.obstacles import ADHESIVE, FREE, XFRAME, frame_markers, frame_shapes
+from sim.phantom.head.obstacles import (
+    ADHESIVE,
+    FREE,
+    SKIN_ONLY,
+    WITH_SKIN,
+    XFRAME,
+    frame_markers,
+    frame_shapes,
+)
 from sim.phantom.head.painting import add_band, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.phantom.head.shapes import Values
 from sim.phantom.scanner.dicom_series import LARGEST_STORED
@@ -49,7 +57,8 @@ def plain_scan(scene: Scene) -> Scan:
     """Return the scan of an unmodified scene; raises SIM-001 if it cannot be scanned."""
     grid, head = place_grid(scene.head, scene.ct), scene.head
     if not head.x_frame:
-        return Scan(scene, grid, with_rings(draw_anatomy(scene), scene))
+        kind = FREE if head.face is None else SKIN_ONLY if not head.fiducials else WITH_SKIN
+        return Scan(scene, grid, with_rings(draw_anatomy(scene), scene), kind)
     generator = noise(scene.seed, "ct frame", 0)
     bare = draw_anatomy(scene.model_copy(update={"head": head.model_copy(update={"fiducials": ()})}))
     anatomy = replace(

@@ -224,6 +224,13 @@ class CaseOptions(TheatreOptions):
             help=f"With --matcher thesis: correct pairings that its validation refuses [{REFUSED_SHARE:g}].",
         ),
     ] = None
+    enhance_contrast: Annotated[
+        bool,
+        Option(
+            "--enhance-contrast",
+            help="Equalize the stereo head's pictures first, as the thesis does; not for clinical use.",
+        ),
+    ] = False
     measure_targets: Annotated[
         bool,
         Option("--measure-targets", help="On a phantom: measure a ball at each target, before the guide."),
@@ -324,7 +331,7 @@ class CaseOptions(TheatreOptions):
         )
 
     def _methods(self) -> CaseMethods:
-        """Return localizer and matcher. Raises CLI-001 for settings of a matcher that is not chosen."""
+        """Return the methods of the case. Raises CLI-001 for settings of a matcher that is not chosen."""
         given = self._list_changed_options(("matcher_e_mm", "matcher_refused_share"))
         if given and self.matcher is not Matcher.THESIS:
             raise UsageMistake(
@@ -338,6 +345,7 @@ class CaseOptions(TheatreOptions):
             matcher=self.matcher,
             e_mm=E_MM if self.matcher_e_mm is None else self.matcher_e_mm,
             refused_share=REFUSED_SHARE if self.matcher_refused_share is None else self.matcher_refused_share,
+            enhance_contrast=self.enhance_contrast,
         )
 
 

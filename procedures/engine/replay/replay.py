@@ -198,6 +198,7 @@ class _Replay:
                 calibrating=replay_input.calibrations is not None,
                 histories={role: ArmHistory(role) for role in roles},
                 make_arms=ReplayedArms,
+                enhance_contrast=answers.opening.methods.enhance_contrast,
             ),
             clock=clock,
             operator=self._operator,

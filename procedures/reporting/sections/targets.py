@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from procedures.engine.case import Stored
 from procedures.reporting.error_parts import parts_figure
 from procedures.reporting.pictures import target_figure
 from procedures.reporting.run_reading import RunReading
-from procedures.reporting.tables import TargetTable
+from procedures.reporting.tables import GuidePose, TargetTable
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.strategies.pose_values import PoseValues
+from ronna_hw.errors import RonnaError
 
 
 @dataclass(frozen=True)
@@ -18,6 +21,7 @@ class Targets:
 
     table: TargetTable
     worked: tuple[Stored[ReachedTarget], ...]
+    poses: tuple[GuidePose, ...]
     picture: str  # SVG
     parts_picture: str  # SVG, or "" where the truth of both parts is not known
     simulated: bool
@@ -27,10 +31,23 @@ def read_targets(reading: RunReading, table: TargetTable, *, simulated: bool) ->
     """Read the section, or return None where nothing was registered."""
     if not table.rows:
         return None
+    worked = reading.valid_results(ReachedTarget)
     return Targets(
         table,
-        reading.valid_results(ReachedTarget),
+        worked,
+        tuple(_read_poses(reading, worked)),
         target_figure(table.rows, simulated),
         parts_figure(table.split) if table.split else "",
         simulated,
     )
+
+
+def _read_poses(reading: RunReading, worked: Sequence[Stored[ReachedTarget]]) -> Iterator[GuidePose]:
+    """Yield the pose at each target; one that is none is noted and left out."""
+    for one in worked:
+        if one.result.tool_pose is None:
+            continue
+        try:
+            yield GuidePose(one.record.trajectory, PoseValues.of(one.result.tool_pose.transform))
+        except RonnaError as problem:
+            reading.note(f"{one.record.identifier}: the pose of the guide is left out: {problem.what}")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sim.errors import BAD_SCENE
 from sim.phantom.head.painting import Band, Streak
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Shape, Trough, Values, ellipsoid_depth
+from sim.world.head_surface.parametric_head import Landmarks
 from sim.world.noise import noise
 from sim.world.rigid import Point, as_point
 from sim.world.scene.model import Fiducial, Head, Scene
@@ -52,6 +53,7 @@ LIPS_MM = 14.0  # before the teeth
 LONGEST_POST_MM = 100.0
 
 JAW_RADIUS_MM = 4.0
+FRONTAL_MM, CHEEKS_MM, NASAL_MM = (7.0, 4.0, 8.0), (11.0, 13.0, 12.0), (8.0, 10.0, 7.0)  # air cavities
 
 FOAM_GAP_MM = 3.0
 FOAM_MM = 10.0
@@ -276,10 +278,22 @@ def ventricles(head: Head) -> tuple[Shape, ...]:
 
 def sinuses(head: Head) -> tuple[Shape, ...]:
     """Return the air cavities of forehead, cheeks and nose."""
-    frontal = [((side * 0.14, -0.80, -0.12), (7.0, 4.0, 8.0)) for side in (-1, 1)]
-    cheeks = [((side * 0.30, -0.52, -0.45), (11.0, 13.0, 12.0)) for side in (-1, 1)]
-    places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), (8.0, 10.0, 7.0))]
+    if (faced := head_with_face(head)) is not None:
+        return _sinuses_of_face(head.centre_ct_mm, faced.landmarks)
+    frontal = [((side * 0.14, -0.80, -0.12), FRONTAL_MM) for side in (-1, 1)]
+    cheeks = [((side * 0.30, -0.52, -0.45), CHEEKS_MM) for side in (-1, 1)]
+    places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), NASAL_MM)]
     return tuple(Ellipsoid(AIR_HU, point_at_share(head, place), size) for place, size in places)
+
+
+def _sinuses_of_face(centre: Point, marks: Landmarks) -> tuple[Shape, ...]:
+    frontal = [
+        ((side * 9.0, marks.brow_front_mm + 17.0, marks.sellion_mm + 17.0), FRONTAL_MM) for side in (-1, 1)
+    ]
+    behind, height = marks.face_front_mm + 42.0, marks.sellion_mm - 37.0
+    cheeks = [((side * 25.0, behind, height), CHEEKS_MM) for side in (-1, 1)]
+    places = [*frontal, *cheeks, ((0.0, behind, height), NASAL_MM)]
+    return tuple(Ellipsoid(AIR_HU, as_point(np.add(centre, place)), size) for place, size in places)
 
 
 def jaw_teeth(

@@ -7,16 +7,20 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.phantom.head.anatomy import AIR_HU, LAYERS, STEP_MM, HeadLayers, blur_table
+from sim.errors import BAD_SCENE
+from sim.phantom.head.anatomy import AIR_HU, LAYERS, HeadLayers, blur_table
 from sim.phantom.head.shapes import Values
 from sim.world.head_surface.parametric_head import ParametricHead
+from sim.world.head_surface.regions import EDGE_MM, above_hair_line_mm
 from sim.world.head_surface.skull_surface import SkullSurface
 from sim.world.rigid import Point
 from sim.world.scene.model import Head
 from sim.world.scene.skin import head_with_face
 
 BY_SKIN = 3  # layers of the scalp: skin, fat, galea and muscle; those after them are of the cranium
+STEP_MM = 0.02
 OUTSIDE_MM = 4.0
+HAIR_HU = 130.0  # above air, at the roots (U)
 FIRM_MM = 1.0  # around ears and nose, which have no fat
 CORTEX_MM = 2.0  # of the bones of the face
 EMPTY_MM = 10.0  # coarse distance beyond which there is air
@@ -43,6 +47,8 @@ def layers_of(
     head: Head, blur_mm: float, layers: tuple[tuple[float, float], ...] = LAYERS, air: float = AIR_HU
 ) -> Layers:
     """Return the layers of a head, with edges blurred by a Gaussian of `blur_mm`."""
+    if head.own_ct is not None:
+        raise BAD_SCENE("the head is a CT of your own: it cannot be scanned again")
     faced = head_with_face(head)
     if faced is None:
         return HeadLayers(head.centre_ct_mm, head.semi_axes_mm, blur_mm, layers, air)
@@ -90,7 +96,17 @@ class FacedLayers:
         ):
             share = self._inside.at(-bone)
             hu += share * (table.at(-bone) - hu)
+        if self._head.face.hair_mm:
+            hu += self._hair(x, y, z, depth)
         return hu
+
+    def _hair(self, x: Values, y: Values, z: Values, depth: Values) -> Values:
+        """Return what hair adds: thinner with the distance from the skin."""
+        points = np.column_stack([x, y, z]).astype(float)
+        roots = np.clip(above_hair_line_mm(self._head, points) / EDGE_MM, 0.0, 1.0).astype(np.float32)
+        share = np.clip(1.0 + depth / np.float32(self._head.face.hair_mm), 0.0, 1.0)
+        added: Values = np.float32(HAIR_HU) * roots * share * (np.float32(1.0) - self._inside.at(depth))
+        return added
 
     def half_widths(self, z_mm: float, margin_mm: float) -> tuple[float, float] | None:
         """Return the head's half extents in x and y at `z_mm` plus a margin, or None outside."""
@@ -117,7 +133,8 @@ class _DepthTable:
         self._table = blur_table(table, blur_mm / STEP_MM).astype(np.float32)
 
     def at(self, depth_mm: Values) -> Values:
-        place = (depth_mm + np.float32(OUTSIDE_MM)) * np.float32(1.0 / STEP_MM) + np.float32(0.5)
+        # An edge lies between its two nodes: each node stands for the step after it.
+        place = (depth_mm + np.float32(OUTSIDE_MM)) * np.float32(1.0 / STEP_MM)
         last = np.float32(len(self._table) - 1)
         hu: Values = self._table[np.clip(place, np.float32(0.0), last).astype(np.int32)]
         return hu

@@ -17,7 +17,7 @@ from sim.world.rigid import Array, Vectors
 from sim.world.skull import SCALP_MM
 
 ROUND_MM = 6.0  # of the joints between the bones of the face
-ORBIT_MM = (18.0, 24.0, 16.5)  # semi-axes
+ORBIT_MM, ORBIT_BEFORE_MM = (18.0, 24.0, 16.5), 6.0  # semi-axes; its middle before the eye's
 BROW_SKIN_MM = 3.5
 
 
@@ -37,24 +37,37 @@ class SkullSurface:
 
     def cast(self, origins_mm: Vectors, directions: Vectors, furthest_mm: float) -> Array:
         """Return the distance (n,) along unit directions to the first hit; NaN without one."""
-        start, end = self.grid.approach(origins_mm, directions, furthest_mm)
+        start, end = self.fine_grid.approach(origins_mm, directions, furthest_mm)
         return march(self.distance_mm, origins_mm, directions, end, start)
 
     @cached_property
     def grid(self) -> DistanceGrid:
         """Coarse distances, with which rays skip empty space."""
         low, high = self.head.bounds_mm
-        return DistanceGrid.sample(lambda x, y, z: self.field(x, y, z).cautious(), low, high)
+        return DistanceGrid.sample(self._cautious, low, high)
+
+    @cached_property
+    def fine_grid(self) -> DistanceGrid:
+        """Finer distances, with which rays come close to the surface."""
+        return self.grid.refine(self._cautious)
+
+    def _cautious(self, x: Values, y: Values, z: Values) -> Values:
+        return self.field(x, y, z).cautious()
 
     def field(self, x: Values, y: Values, z: Values) -> Field:
         """Return distance and gradient at points of the CT frame."""
         return self.head.mirrored(x, unite(self.cranium(x, y, z), self.face_bones(x, y, z), ROUND_MM))
 
     def cranium(self, x: Values, y: Values, z: Values) -> Field:
-        """Return the cranium, its distance to first order from the skin's ellipsoid; gradient along |x|."""
+        """Return the cranium without the orbits, at the scalp's depth to first order; gradient along |x|."""
         side, y, z = self.head.own(x, y, z)
-        skin = ellipsoid(np.abs(side), y, z, (0.0, 0.0, 0.0), self.head.semi_axes_mm)
-        return Field(skin.value + SCALP_MM, skin.x, skin.y, skin.z)
+        x = np.abs(side)
+        skin = ellipsoid(x, y, z, (0.0, 0.0, 0.0), self.head.semi_axes_mm)
+        return carve(Field(skin.value + SCALP_MM, skin.x, skin.y, skin.z), self._orbit(x, y, z), 3.0)
+
+    def _orbit(self, x: Values, y: Values, z: Values) -> Field:
+        eye_x, eye_y, eye_z = self.head.landmarks.eye(self.head.face)
+        return ellipsoid(x, y, z, (eye_x, eye_y - ORBIT_BEFORE_MM, eye_z), ORBIT_MM)
 
     def face_bones(self, x: Values, y: Values, z: Values) -> Field:
         """Return upper jaw, cheekbones, nasal bone, brows and lower jaw; gradient along |x|."""
@@ -75,8 +88,7 @@ class SkullSurface:
         radius = face.brow_mm - BROW_SKIN_MM
         bones = unite(unite(upper, cheek, 10.0), nasal, 3.0)
         bones = unite(bones, cone(x, y, z, start, end, (radius, radius)), ROUND_MM)
-        eye_x, eye_y, eye_z = marks.eye(face)
-        bones = carve(bones, ellipsoid(x, y, z, (eye_x, eye_y - 6.0, eye_z), ORBIT_MM), 3.0)
+        bones = carve(bones, self._orbit(x, y, z), 3.0)
         return unite(bones, unite(lower, chin, 8.0), ROUND_MM)
 
     def _field_at(self, points_mm: Vectors) -> Field:

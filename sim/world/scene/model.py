@@ -25,9 +25,11 @@ from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BAD_SCENE
 from sim.world.descriptions import MAKES
+from sim.world.head_surface.bare_bone import BareBone
 from sim.world.head_surface.face import Face
 from sim.world.head_surface.skin_shift import SkinShift
 from sim.world.options import ArmRole
+from sim.world.scene.line_projector import LineProjector
 from sim.world.scene.parts import (
     ASSISTANT_FRAME_PART_NUMBER,
     Facing,
@@ -101,8 +103,15 @@ class Head(Strict):
     face: Face | None = Field(
         default=None, description="Measures of the face on that ellipsoid; without it, the ellipsoid alone."
     )
+    own_ct: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None, description="Folder of a CT series that is the head, without spheres or face."
+    )
     skin_shift: SkinShift = Field(
         default=SkinShift(), description="How the skin moved since the CT; with a face only."
+    )
+    bare_bone: BareBone | None = Field(
+        default=None,
+        description="Where the scalp is open in the theatre, on a head with a face; none without.",
     )
     fiducials: tuple[Fiducial, ...] = Field(
         description="Spheres on bone screws or on the x-shaped frame; none only on a head with a face."
@@ -149,9 +158,17 @@ class Head(Strict):
         return self
 
     @model_validator(mode="after")
+    def _own_ct_is_as_it_is(self) -> Self:
+        if self.own_ct is not None and (self.fiducials or self.adhesives or self.face is not None):
+            raise ValueError("own_ct is a head as scanned: it has no spheres, rings or face of the scene")
+        return self
+
+    @model_validator(mode="after")
     def _shifted_skin_has_a_face(self) -> Self:
         if self.face is None and not self.skin_shift.is_none:
             raise ValueError("skin_shift needs a face: the ellipsoid's skin does not move")
+        if self.face is None and self.bare_bone is not None:
+            raise ValueError("bare_bone needs a face: the ellipsoid has no skull of its own")
         return self
 
     @model_validator(mode="after")
@@ -174,7 +191,10 @@ class Head(Strict):
         there = [one for one in self.fiducials if not one.missing]
         bases = [one.base_in_theatre or one.number for one in there]
         unknown = sorted(set(bases) - {one.number for one in self.fiducials})
-        if not there and self.face is None:
+        has_skin = self.face is not None or self.own_ct is not None
+        if not self.fiducials and not has_skin:
+            raise ValueError("head.fiducials needs a sphere: the head has no face to register instead")
+        if not there and not has_skin:
             raise ValueError(
                 "at least one sphere must be present in the theatre, or the head must have a face"
             )
@@ -495,6 +515,10 @@ class Scene(Strict):
         default=None, description="The second arm; without it, there is one."
     )
     tracker: TrackerTruth = Field(description="The true tracker and what it sees.")
+    projector: LineProjector | None = Field(
+        default=None,
+        description="Line projector on the stereo head, switched by the left camera's output line.",
+    )
     left: CameraTruth = Field(description="The left camera.")
     right: CameraTruth = Field(description="The right camera.")
     stand: Stand = Field(default=Stand(), description="The calibration stand.")

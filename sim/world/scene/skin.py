@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
+from sim.world.head_surface.bare_bone import HeadWithBareBone
 from sim.world.head_surface.ellipsoidal_head import EllipsoidalHead
 from sim.world.head_surface.face import Face
 from sim.world.head_surface.parametric_head import ParametricHead
-from sim.world.head_surface.skin_shift import ShiftedHead
+from sim.world.head_surface.skin_shift import ShiftedHead, SkinShift
+from sim.world.head_surface.skull_surface import SkullSurface
 from sim.world.head_surface.surface import HeadSurface
+from sim.world.head_surface.volume_head import VolumeHead, read_head
 from sim.world.rigid import Point, Vector
 from sim.world.scene.model import Head
 
@@ -26,15 +30,18 @@ def head_with_face(head: Head) -> ParametricHead | None:
 
 def skin_in_ct(head: Head) -> HeadSurface:
     """Return the skin as the CT shows it."""
+    if head.own_ct is not None:
+        return _read(head.own_ct)
     return head_with_face(head) or EllipsoidalHead(head.centre_ct_mm, head.semi_axes_mm)
 
 
 def skin_in_theatre(head: Head) -> HeadSurface:
     """Return the skin as it is in the theatre, in the CT frame: where `robot_from_ct` puts it."""
     faced = head_with_face(head)
-    if faced is None or head.skin_shift.is_none:
+    if faced is None:
         return skin_in_ct(head)
-    return ShiftedHead(faced, head.skin_shift)
+    skin = faced if head.skin_shift.is_none else _shift(faced, head.skin_shift)
+    return skin if head.bare_bone is None else HeadWithBareBone(skin, SkullSurface(faced), head.bare_bone)
 
 
 def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
@@ -54,6 +61,16 @@ def head_extent(head: Head) -> tuple[Vector, Vector]:
         return np.array(faced.extent_mm[0]), np.array(faced.extent_mm[1])
     centre, axes = np.array(head.centre_ct_mm), np.array(head.semi_axes_mm)
     return centre - axes, centre + axes
+
+
+@lru_cache(maxsize=8)  # with the distances that casting rays prepares
+def _shift(head: ParametricHead, shift: SkinShift) -> ShiftedHead:
+    return ShiftedHead(head, shift)
+
+
+@lru_cache(maxsize=2)
+def _read(series: str) -> VolumeHead:
+    return read_head(Path(series))
 
 
 @lru_cache(maxsize=8)

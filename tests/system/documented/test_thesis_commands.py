@@ -136,6 +136,15 @@ STUDIES: Mapping[str, Trial] = {
             Figure(NORM, "max::false %", 0.0, 1.0),
         ),
     ),
+    "ronna-campaign correspondence --method thesis --method thesis-validated --e 1.5 --seed 47": Trial(
+        ("--runs", "8", *SMALL),
+        (),
+        (
+            Figure(NORM, "row:method=thesis;fiducials=3:unsuccessful %", 5.0, 20.0),
+            Figure(NORM, "row:method=thesis, validated;fiducials=3:unsuccessful %", 5.0, 20.0),
+            Figure(NORM, "max::false %", 0.0, 1.5),
+        ),
+    ),
     "ronna-campaign correspondence --method gradual-validated": Trial(
         ("--e", "1.5", "--runs", "8", *SMALL),
         (),
@@ -199,6 +208,7 @@ CASES: Mapping[str, Trial] = {
     "ronna-procedure run --sim --localizer thesis-sphere": case("--markers", "5", largest_mm=1.0),
     "ronna-procedure run --sim --localizer thesis-line": case("--markers", "5", largest_mm=1.0),
     "ronna-procedure run --sim --matcher thesis": case("--markers", "5", largest_mm=1.0),
+    "ronna-procedure run --sim --scene mini --enhance-contrast": case(),
     "ronna-procedure run --sim --strategy nos": case(largest_mm=5.0),
     # its row states cases of five spheres; with the mini scene's three, 0.56 mm rms are predicted
     "ronna-procedure run --sim --strategy thesis-ocs": case("--markers", "5"),
@@ -252,6 +262,8 @@ ELSEWHERE: Mapping[str, str] = {
     "test_an_arm_fitted_to_table_4_shows_its_means_in_the_full_simulation",
     "ronna-campaign strategies --learning --arms 12 --seed 42986": "tests/unit/studies/"
     "test_learning_study.py::test_learning_is_nearer_with_no_more_looks_than_ocs_whatever_the_size_of_the_errors",
+    "make bench ONLY=tool-tip": "tests/unit/calibration/test_tip_calibration.py::"
+    "test_the_tip_is_found_relative_to_what_the_head_sees_whatever_the_arm",
     "make bench": "tests/unit/benchmarks/test_bench.py::"
     "test_one_measurement_prints_a_table_and_writes_its_figures",
     "ronna-plan open DIR": "tests/system/commands/test_plan_command.py::"
@@ -351,6 +363,18 @@ def test_a_command_about_a_run_prints_what_its_row_says(
     done = in_this_process(import_module(COMMANDS[program]).app, *named, *out)
     assert done.returncode == 0, done.stderr
     assert re.search(OF_A_RUN[command], done.stdout + done.stderr)
+
+
+@pytest.mark.timeout(HANGS_S)
+def test_the_report_of_a_run_tells_the_pose_at_its_target_by_six_values(
+    finished_run: Path, tmp_path: Path
+) -> None:
+    app = import_module(COMMANDS["ronna-procedure"]).app
+    done = in_this_process(app, "report", str(finished_run), "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    file = tmp_path / "report" / "guide_poses.csv"
+    assert read_value(file, "count::x_mm") == 1
+    assert abs(read_value(file, "row:target=T1:beta_deg")) <= 90.0
 
 
 @pytest.mark.slow

@@ -281,6 +281,16 @@ def test_a_single_sphere_is_located(renderer, head, look):
     assert pair_error_um(locate_sphere(*pair(renderer, head, look), head.calibration)) < 2.0
 
 
+def test_with_enhanced_contrast_both_outlines_of_a_sphere_scatter_more(renderer, head, look):
+    images = pair(renderer, head, look)
+    plain, enhanced = (
+        locate_sphere(*images, head.calibration, enhance_contrast=enhance) for enhance in (False, True)
+    )
+    assert enhanced.point is not None
+    for before, after in ((plain.left, enhanced.left), (plain.right, enhanced.right)):
+        assert after.scatter_px > 1.5 * before.scatter_px
+
+
 @pytest.mark.hazard(27)
 def test_a_glare_as_large_as_the_sphere_in_one_image_is_not_taken_for_it(renderer, head, look):
     left, right = pair(

@@ -27,6 +27,7 @@ from prepared_results import (
 )
 from report_figures import figures_in, figures_of_records
 from report_text import report_text
+from scipy.spatial.transform import RigidTransform
 
 from procedures.cli.runs.showing import show_run
 from procedures.engine.case import StepKey
@@ -37,6 +38,7 @@ from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.imaging.localizers import Localizer
 from procedures.journal.journal import Entry, Line
+from procedures.journal.results import FramedPose
 from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResult, store_check
 from procedures.reporting.outcome import ErrorParts, TargetTruth, Truth
@@ -53,8 +55,10 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
 from procedures.steps.clinical.results import LeftOutSphere, RegisteredRobot
 from procedures.steps.clinical.work_progress import DepthStop
+from procedures.strategies.pose_values import PoseValues
 from procedures.workcell import MountedTool
 from ronna_hw import load_run
+from ronna_hw.frames import Frame, Transform
 
 ROOT = Path(__file__).resolve().parents[3]
 PARTS = ErrorParts(registration_mm=(1.2, 0.0, 0.0), intrinsic_mm=(-0.9, 0.3, 0.07))
@@ -380,15 +384,38 @@ def test_exclusions_are_listed_with_their_reasons(cell: ClinicalCell) -> None:
 def test_displacement_of_the_guide_is_reported_only_for_watched_work(
     cell: ClinicalCell, done_before: tuple[str, ...], pushed_mm: float | None, said: str
 ) -> None:
+    finish(cell, reached_target().model_copy(update={"pushed_mm": pushed_mm, "done_before": done_before}))
+    assert said in report_text(write_report(cell.folder))
+
+
+def test_the_pose_in_which_the_guide_was_held_is_told_by_its_six_values(cell: ClinicalCell) -> None:
+    values = PoseValues(512.25, -40.5, 310.75, *np.radians([12.5, 61.25, -140.0]).tolist())
+    finish(cell, reached_target().model_copy(update={"tool_pose": FramedPose.of(values.pose)}))
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", write_report(cell.folder).read_text())
+    shown = [FIRST, "512.250", "-40.500", "310.750", "12.500", "61.250", "-140.000"]
+    assert shown in [cells[place : place + len(shown)] for place in range(len(cells))]
+    (row, *_) = csv.DictReader((cell.folder / "report" / "guide_poses.csv").read_text().splitlines())
+    assert (row["target"], float(row["gamma_deg"])) == (FIRST, pytest.approx(-140.0))
+
+
+def test_a_pose_of_the_guide_in_another_frame_is_left_out_and_noted(cell: ClinicalCell) -> None:
+    in_ct = Transform(Frame.CT, Frame.TOOL, RigidTransform.identity())
+    finish(cell, reached_target().model_copy(update={"tool_pose": FramedPose.of(in_ct)}))
+    text = report_text(write_report(cell.folder))
+    assert "the pose of the guide is left out: a transform robot &lt;- tool is needed" in text
+    assert "guide held at" not in text
+
+
+def reached_target() -> ReachedTarget:
+    """A target at which the guide was held, without its pose and its watched displacement."""
     stop = DepthStop(bore_mm=1.0, standoff_mm=30.0, depth_mm=1.0, computed_mm=32.0, read_mm=32.0)
-    reached = ReachedTarget(
-        tool_pose=None,
-        nominal_error_mm=None,
-        too_deep_mm=0.0,
-        depth_stop=stop,
-        pushed_mm=pushed_mm,
-        done_before=done_before,
+    return ReachedTarget(
+        tool_pose=None, nominal_error_mm=None, too_deep_mm=0.0, depth_stop=stop, pushed_mm=None
     )
+
+
+def finish(cell: ClinicalCell, reached: ReachedTarget) -> None:
+    """Run the case to its end, in which each target is reached so."""
     engine = cell.begin(
         *up_to_correspondence(cell),
         registered_robot(),
@@ -396,7 +423,6 @@ def test_displacement_of_the_guide_is_reported_only_for_watched_work(
     )
     engine.run_to()
     engine.close("done")
-    assert said in report_text(write_report(cell.folder))
 
 
 def test_the_plan_has_its_clearance_and_its_turn_about_the_axis(cell: ClinicalCell) -> None:
@@ -462,12 +488,15 @@ def test_a_target_keeps_the_strategy_it_was_last_planned_with(
 
 def test_the_head_of_the_page_marks_methods_that_are_not_for_clinical_use(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path / "20261120T000000-s3-ef01")
-    methods = CaseMethods(localizer=Localizer.THESIS_LINE)
+    methods = CaseMethods(localizer=Localizer.THESIS_LINE, enhance_contrast=True)
     cell.journal.write(Entry.OPENED, 0.0, methods=methods.describe())
     of_thesis = localized_fiducials().model_copy(update={"localizer": Localizer.THESIS_LINE})
     cell.begin(imported_ct(), of_thesis).run_to()
     page = write_report(cell.folder).read_text()
-    assert '<p class="alarm">Localizer thesis-line, matcher ours: not for clinical use.</p>' in page
+    assert (
+        '<p class="alarm">Localizer thesis-line, matcher ours, contrast enhanced: not for clinical use.</p>'
+        in page
+    )
     assert "thesis-line states no error: its share CT is the 0.169 mm published for it" in page
 
 

@@ -56,7 +56,11 @@ def test_a_run_begun_with_ask_is_resumed_at_a_terminal_only(tmp_path: Path) -> N
 
 
 OF_THE_THESIS = CaseMethods(
-    localizer=Localizer.THESIS_LINE, matcher=Matcher.THESIS, e_mm=3.5, refused_share=0.015
+    localizer=Localizer.THESIS_LINE,
+    matcher=Matcher.THESIS,
+    e_mm=3.5,
+    refused_share=0.015,
+    enhance_contrast=True,
 )
 
 
@@ -67,6 +71,7 @@ def test_a_resumed_run_goes_on_with_the_methods_of_its_start(tmp_path: Path) -> 
         matcher=Matcher.THESIS,
         matcher_e_mm=3.5,
         matcher_refused_share=0.015,
+        enhance_contrast=True,
     )
     folder = new_run_folder(given.request(), tmp_path)
     assert read_request(folder).case.methods == OF_THE_THESIS
