@@ -541,6 +541,46 @@ def low_cost(
     _require_nothing_missed("does not hold", list_missed_relations(sums))
 
 
+@app.command()
+@with_option_records
+def surface(
+    heads: Annotated[
+        int,
+        typer.Option(
+            "--heads", min=1, max=10_000, help="Heads, each under 34 conditions; more continue a study."
+        ),
+    ] = 334,
+    shifts: Annotated[
+        int, typer.Option("--shifts", min=0, max=10_000, help="Scans with a third of the skin shifted.")
+    ] = 100,
+    export: Annotated[
+        Path | None,
+        typer.Option(
+            "--export", metavar="DIR", help="Only write the clouds and truths as files, for other programs."
+        ),
+    ] = None,
+    *,
+    study_options: StudyOptions,
+) -> None:
+    """Registration on the skin without markers: errors, their prediction, refusals, on heads with misfits.
+
+    With the defaults about 10,000 registrations are judged, in one to two hours of a processor.
+    """
+    from studies.surface import tables
+    from studies.surface.study import SurfaceStudy
+
+    study = SurfaceStudy(heads, study_options.seed, shifts)
+    if export is None:
+        _run(study, tables, study_options)
+        return
+    from studies.surface.export import export_study
+
+    require_output_folder(export)
+    with terminal.progress_bar("clouds") as progress:
+        count = export_study(study, export, progress)
+    terminal.tell(f"{format_count(count, 'scan')} with truths: {export}")
+
+
 def _several_studies(given: Sequence[str]) -> UsageMistake:
     """Return the error of options that each select another study."""
     return UsageMistake(

@@ -1,0 +1,1 @@
+"""Registration on the skin beside other programs, on the same clouds."""

@@ -1,0 +1,1 @@
+"""Registration on the skin: heads, scans and misfits drawn at random, judged by truth."""

@@ -1,0 +1,130 @@
+"""The study of registrations on the skin: what is scanned, how it is displaced, judged and exported."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ronna_hw.frames import Frame, Transform
+from studies.campaign.study import Unit, add_up
+from studies.surface import tables
+from studies.surface.conditions import SHIFTED, Coverage, Draw, Skin
+from studies.surface.export import export_study
+from studies.surface.heads import draw_head
+from studies.surface.outcomes import Outcome, read_outcomes, share_within
+from studies.surface.scanning import Trial, draw_trial
+from studies.surface.skins import displace, shift_third
+from studies.surface.study import SurfaceStudy, draw_unit
+
+SEED = 5
+DRAW = Draw(size_mm=0.4, length_mm=20.0, offset_sd_mm=0.0, offset_mm=0.0, noise_mm=0.05)
+
+
+def scan(coverage: Coverage, skin: Skin = Skin.RIGID) -> Trial:
+    return draw_trial(draw_head(SEED, 0), coverage, skin, DRAW, np.random.default_rng(3), shifted=False)
+
+
+def in_ct(trial: Trial) -> np.ndarray:
+    return np.asarray(trial.truth.inverse().apply(trial.scan.points_mm))
+
+
+def test_a_scan_without_misfit_lies_on_the_skin_but_for_its_noise_and_few_strays() -> None:
+    distances = np.abs(draw_head(SEED, 0).head.distance_mm(in_ct(scan(Coverage.FACE))))
+    assert np.median(distances) < DRAW.noise_mm
+    assert np.mean(distances > 6.0 * DRAW.noise_mm) < 0.05
+
+
+def test_a_scan_of_the_face_shows_nothing_of_the_back_and_one_of_the_vault_nothing_of_the_face() -> None:
+    assert in_ct(scan(Coverage.FACE))[:, 1].max() < 40.0
+    assert np.quantile(in_ct(scan(Coverage.VAULT))[:, 2], 0.05) > -40.0
+
+
+def test_a_hat_of_hair_hides_the_skin_of_the_vault() -> None:
+    head, places = draw_head(SEED, 0).head, in_ct(scan(Coverage.HAIR))
+    vault = places[places[:, 2] > 50.0]
+    on_skin = np.abs(head.distance_mm(vault)) < 0.5
+    assert on_skin.mean() < 0.3
+
+
+@pytest.mark.parametrize("skin", [Skin.ROUGH, Skin.SMOOTH, Skin.SMOOTHEST, Skin.SWELLING])
+def test_the_misfit_of_a_field_has_its_stated_size(skin: Skin) -> None:
+    head = draw_head(SEED, 0)
+    points = head.skin_mm[::40]
+    moved = [displace(skin, head.head, points, DRAW, np.random.default_rng(k)) for k in range(60)]
+    assert np.sqrt(np.mean(np.square(moved))) == pytest.approx(DRAW.size_mm, rel=0.35)
+
+
+@pytest.mark.parametrize("skin", [Skin.PATCHES, Skin.TAPE, Skin.PILLOW])
+def test_an_event_displaces_a_part_of_the_skin_only(skin: Skin) -> None:
+    head = draw_head(SEED, 0)
+    moved = [
+        np.abs(displace(skin, head.head, head.skin_mm[::40], DRAW, np.random.default_rng(k)))
+        for k in range(20)
+    ]
+    assert np.mean(moved) < 0.5 * np.max(moved)
+    assert np.max(moved) > DRAW.size_mm
+
+
+def test_a_third_of_the_skin_is_shifted_by_one_millimetre() -> None:
+    moved = np.abs(shift_third(draw_head(SEED, 0).skin_mm, np.random.default_rng(0)))
+    assert moved.max() == pytest.approx(1.0, abs=1e-3)
+    assert np.mean(moved > 0.5) == pytest.approx(1.0 / 3.0, abs=0.01)
+
+
+def test_more_heads_continue_a_study() -> None:
+    few, more = SurfaceStudy(heads=1, shifts=1), SurfaceStudy(heads=2, shifts=3)
+    assert few.settings() == more.settings()
+    assert {unit.key for unit in few.units()} < {unit.key for unit in more.units()}
+    assert replace(few, seed=1).settings() != few.settings()
+
+
+def test_a_registration_is_judged_at_its_targets_and_the_same_unit_gives_the_same() -> None:
+    study, unit = SurfaceStudy(seed=SEED), Unit(f"{Coverage.ALL}|{Skin.RIGID}", 0, 1)
+    sums = study.run(unit)
+    assert sums == study.run(unit)
+    (outcome,) = read_outcomes(add_up([(unit, sums)]))
+    assert outcome.refusal is None
+    assert sorted(set(outcome.depths)) == ["deep", "middle", "superficial"]
+    assert outcome.targets[:, 0].max() < 0.5  # a rigid phantom, scanned all around
+    assert {table.title for table in tables.tables({unit.condition: sums})} > {"Goals", "By coverage"}
+
+
+def test_targets_within_their_limits_are_counted_head_by_head() -> None:
+    within, beyond = [0.1, 0.1, 0.2], [0.3, 0.1, 0.2]
+    outcomes = [
+        Outcome("all", "patches", head, {}, None, np.array(rows), ("deep",) * len(rows))
+        for head, rows in enumerate([[within, within], [within, beyond]])
+    ]
+    found = share_within([*outcomes, replace(outcomes[0], refusal="SRF-003")])
+    assert found is not None
+    assert found.value == 75.0
+
+
+def test_an_exported_scan_lies_on_its_head_by_the_exported_truth(tmp_path: Path) -> None:
+    class OneScan(SurfaceStudy):
+        def units(self) -> list[Unit]:
+            return [Unit(f"{Coverage.FACE}|{Skin.RIGID}", 0, 1), Unit(SHIFTED, 0, 1)]
+
+    assert export_study(OneScan(seed=SEED), tmp_path, lambda share: None) == 2
+    cases, truths = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("cases", "truth"))
+    name = "head-0000-face-only-rigid-phantom"
+    header, _, body = (tmp_path / "scans" / f"{name}.ply").read_bytes().partition(b"end_header\n")
+    properties = [line.split()[1:] for line in header.decode().splitlines() if line.startswith("property")]
+    kinds = {"double": "<f8", "int": "<i4"}
+    rows = np.frombuffer(body, dtype=[(field, kinds[kind]) for kind, field in properties])
+    truth = Transform.from_matrix(Frame.ROBOT, Frame.CT, truths[name]["robot_from_ct"])
+    points = truth.inverse().apply(np.column_stack([rows[axis] for axis in "xyz"]))
+    assert np.median(np.abs(draw_head(SEED, 0).head.distance_mm(points))) < truths[name]["noise_mm"]
+    assert cases[name]["head"] == "head-0000"
+    assert "robot_from_ct" not in cases[name]
+    assert (tmp_path / "README.md").read_text().startswith("# Scans of heads")
+
+
+def test_shifted_skin_is_a_condition_of_its_own() -> None:
+    _, trial, draw = draw_unit(SEED, Unit(SHIFTED, 0, 1))
+    assert draw.offset_mm == 0.0
+    assert len(trial.scan) > 300
