@@ -23,7 +23,7 @@ from ronna_hw.host.forked_process import fork_worker
 from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-from sim.phantom.head.obstacles import ADHESIVE, FREE, XFRAME
+from sim.phantom.head.obstacles import ADHESIVE, FREE, SKIN_ONLY, WITH_SKIN, XFRAME
 from sim.phantom.mr_scan import MrScan, ct_from_mr
 from sim.phantom.postoperative_scan import ImagedInstrument, PostoperativeScan
 from sim.phantom.scan import Planes, Scan, plain_scan
@@ -211,8 +211,8 @@ def _plan_markers(scan: Scan) -> dict[str, Any]:
     """Return the plan's marker fields."""
     if scan.fiducials == ADHESIVE:
         return {"implanted": len(scan.scene.head.adhesives), "fiducials": ADHESIVE}
-    if scan.fiducials == FREE:
-        return {"implanted": len(scan.scene.head.fiducials), "fiducials": FREE}
+    if scan.fiducials in (FREE, SKIN_ONLY, WITH_SKIN):
+        return {"implanted": len(scan.scene.head.fiducials), "fiducials": scan.fiducials}
     return {"implanted": len(SPHERE_CENTRES_MM), "fiducials": XFRAME}
 
 

@@ -33,12 +33,14 @@ DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
 
 
 class Fiducials(StrEnum):
-    """Markers: spheres on individual screws or on a frame, or adhesive rings on the skin."""
+    """Markers: spheres on screws or on a frame, adhesive rings, or the skin of a face with few spheres."""
 
     FREE = "free"
     XFRAME = "xframe"
     XFRAME_CLOSE = "xframe-close"
     ADHESIVE = "adhesive"
+    SURFACE = "surface"
+    MIXED = "mixed"
 
 
 def _scanner_option(about: str, *names: str, **limits: Any) -> Any:
@@ -63,7 +65,8 @@ def phantom(
         typer.Option(
             help="Spheres on individual screws, on the x-shaped frame, or on the close-set frame of the "
             "studies; with a family, --markers beyond four are on screws. Or adhesive rings on the skin, "
-            "which only the CT shows, and no spheres."
+            "which only the CT shows, and no spheres. `surface` and `mixed`: a head with a face, without spheres "
+            "or with 1 to 3; --family then names what is around it: free, resting, folded, intubated, clamped."
         ),
     ] = Fiducials.FREE,
     arm: Annotated[
@@ -166,11 +169,13 @@ def phantom(
     """
     from sim.errors import BAD_SCENE, FOLDER_NOT_EMPTY
     from sim.phantom.case import SERIES_FOLDER, TRUTH_FILE, write_case, write_mr
+    from sim.phantom.families.face_scan import SURFACE_FAMILY, face_scan
     from sim.phantom.families.family_scan import family_scan, protocol_named
     from sim.phantom.mr_scan import draw_mr
     from sim.phantom.scan import plain_scan
     from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
     from sim.world.process import load_scene
+    from sim.world.scene.named_scenes import MARKERS_ON_SKIN, whole_head
 
     if cone_beam:
         _require_cone_beam_options(context)
@@ -223,6 +228,12 @@ def phantom(
         if family is not None:
             raise BAD_SCENE("a family has no adhesive markers", action="Omit --family or --fiducials.")
         truth, scan = _scan_adhesives(scene, seed, markers, targets, arm, protocol)
+    elif carrier in MARKERS_ON_SKIN:
+        truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=carrier, arm=arm)
+        if protocol is not None:
+            truth = truth.model_copy(update={"ct": whole_head(protocol_named(protocol))})
+        scan = face_scan(truth, family or SURFACE_FAMILY, fiducials.value)
+        truth = scan.scene
     elif family is not None or carrier is None:
         if scene != DEFAULT_SCENE or targets is not None or arm is not ArmChoice.KR6:
             raise BAD_SCENE(

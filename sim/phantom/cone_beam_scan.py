@@ -17,7 +17,8 @@ from math import radians, sqrt
 import numpy as np
 
 from sim.errors import BAD_SCENE
-from sim.phantom.head.anatomy import AIR_HU, HeadLayers, SkinMarker, side_cable
+from sim.phantom.head.anatomy import AIR_HU, SkinMarker, side_cable
+from sim.phantom.head.faced_layers import layers_of
 from sim.phantom.head.obstacles import clamp
 from sim.phantom.head.painting import edge_sigma_mm, paint
 from sim.phantom.head.shapes import Ball, Rod, Shape, Values
@@ -203,10 +204,10 @@ class ConeBeamPainter:
         head = scan.scene.head
         edge_mm = edge_sigma_mm(grid.pixel_mm, BLUR_ALONG_MM, KERNEL.plane_sigma_mm)
         self._edge_mm = RAMP_WIDTH * edge_mm
-        self._layers = PosedLayers(HeadLayers(head.centre_ct_mm, head.semi_axes_mm, edge_mm), scan.pose)
+        self._layers = PosedLayers(layers_of(head, edge_mm), scan.pose)
         self._x, self._y = grid.x_mm.astype(np.float32), grid.y_mm.astype(np.float32)
         self._shapes = (*scan.bodies, *(shape for marker in scan.markers for shape in marker.shapes))
-        self._sharp = PosedLayers(HeadLayers(head.centre_ct_mm, head.semi_axes_mm, 0.0), scan.pose)
+        self._sharp = PosedLayers(layers_of(head, 0.0), scan.pose)
         self._metal = MetalArtefacts(
             scan.metal, scan.places, grid, KERNEL, BLUR_ALONG_MM, scan.protocol.noise_HU
         )

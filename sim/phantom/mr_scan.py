@@ -19,10 +19,10 @@ from sim.phantom.head.anatomy import (
     JAW_HU,
     LAYERS,
     METAL_HU,
-    HeadLayers,
     draw_anatomy,
     side_cable,
 )
+from sim.phantom.head.faced_layers import Layers, layers_of
 from sim.phantom.head.painting import edge_sigma_mm
 from sim.phantom.head.shapes import Shape, Values
 from sim.phantom.postoperative_scan import HeadPose, PosedLayers
@@ -126,12 +126,9 @@ class MrScan:
         return RAMP_WIDTH * edge_sigma_mm(self.grid.pixel_mm, self.grid.slice_mm)
 
     @cached_property
-    def _layers(self) -> HeadLayers:
+    def _layers(self) -> Layers:
         layers = tuple((mm, value) for (mm, _), value in zip(LAYERS, INTENSITIES, strict=True))
-        head = self.scene.head
-        return HeadLayers(
-            head.centre_ct_mm, head.semi_axes_mm, self._edge_mm / RAMP_WIDTH, layers=layers, air=AIR
-        )
+        return layers_of(self.scene.head, self._edge_mm / RAMP_WIDTH, layers=layers, air=AIR)
 
     @cached_property
     def _bodies(self) -> tuple[Shape, ...]:

@@ -16,11 +16,11 @@ from sim.phantom.head.anatomy import (
     LAYERS,
     METAL_HU,
     SCREW_IN_BONE_MM,
-    HeadLayers,
     draw_anatomy,
     shift_point,
     side_cable,
 )
+from sim.phantom.head.faced_layers import Layers, layers_of
 from sim.phantom.head.painting import Streak, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.phantom.head.shapes import Ball, Bounds, Rod, Shape, Values
 from sim.phantom.scan import RAMP_WIDTH, SKIN_MARGIN_MM, slice_noise
@@ -164,7 +164,7 @@ def draw_scan(
         protocol=protocol,
         grid=grid,
         pose=pose,
-        head=PosedLayers(HeadLayers(head.centre_ct_mm, head.semi_axes_mm, edge_mm), pose),
+        head=PosedLayers(layers_of(head, edge_mm), pose),
         bodies=tuple(
             PosedShape(shape.hu, shape, pose)
             for shape in (*anatomy.surroundings, *screws)
@@ -227,7 +227,7 @@ class PosedShape(Shape):
 class PosedLayers:
     """The head's layers in the new scan."""
 
-    layers: HeadLayers
+    layers: Layers
     pose: HeadPose
 
     def hu_at(self, x: Values, y: Values, z: Values) -> Values:

@@ -12,8 +12,17 @@ from typing import Any
 import numpy as np
 
 from sim.phantom.head.adhesive import skin_rings
-from sim.phantom.head.anatomy import AIR_HU, Anatomy, HeadLayers, draw_anatomy
-from sim.phantom.head.obstacles import ADHESIVE, FREE, XFRAME, frame_markers, frame_shapes
+from sim.phantom.head.anatomy import AIR_HU, Anatomy, draw_anatomy
+from sim.phantom.head.faced_layers import layers_of
+from sim.phantom.head.obstacles import (
+    ADHESIVE,
+    FREE,
+    SKIN_ONLY,
+    WITH_SKIN,
+    XFRAME,
+    frame_markers,
+    frame_shapes,
+)
 from sim.phantom.head.painting import add_band, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.phantom.head.shapes import Values
 from sim.phantom.scanner.dicom_series import LARGEST_STORED
@@ -48,7 +57,8 @@ def plain_scan(scene: Scene) -> Scan:
     """Return the scan of an unmodified scene; raises SIM-001 if it cannot be scanned."""
     grid, head = place_grid(scene.head, scene.ct), scene.head
     if not head.x_frame:
-        return Scan(scene, grid, with_rings(draw_anatomy(scene), scene))
+        kind = FREE if head.face is None else SKIN_ONLY if not head.fiducials else WITH_SKIN
+        return Scan(scene, grid, with_rings(draw_anatomy(scene), scene), kind)
     generator = noise(scene.seed, "ct frame", 0)
     bare = draw_anatomy(scene.model_copy(update={"head": head.model_copy(update={"fiducials": ()})}))
     anatomy = replace(
@@ -204,7 +214,9 @@ def _draw_motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, flo
         return 0, (0.0, 0.0, 0.0)
     direction = noise(scan.scene.seed, "patient moves", 0).standard_normal(3)
     x, y, z = (faults.motion_mm * direction / np.linalg.norm(direction)).tolist()
-    middle_mm = float(np.median([fiducial.centre_ct_mm[2] for fiducial in scan.scene.head.fiducials]))
+    head = scan.scene.head
+    heights_mm = [fiducial.centre_ct_mm[2] for fiducial in head.fiducials] or [head.centre_ct_mm[2]]
+    middle_mm = float(np.median(heights_mm))
     return int(np.searchsorted(grid.z_mm, middle_mm)), (x, y, z + faults.slide_mm)
 
 
@@ -222,8 +234,8 @@ class SlicePainter:
         self._thickness_mm = faults.thickness_mm or grid.slice_mm
         edge_mm = edge_sigma_mm(grid.pixel_mm, self._thickness_mm, self._kernel.plane_sigma_mm)
         self._edge_mm = RAMP_WIDTH * edge_mm
-        self._head = HeadLayers(head.centre_ct_mm, head.semi_axes_mm, edge_mm)
-        self._sharp_head = HeadLayers(head.centre_ct_mm, head.semi_axes_mm, 0.0)
+        self._head = layers_of(head, edge_mm)
+        self._sharp_head = layers_of(head, 0.0)
         self._x, self._y = grid.x_mm.astype(np.float32), grid.y_mm.astype(np.float32)
         self._z_mm = grid.z_mm
         self._background = self._paint_background()

@@ -26,10 +26,12 @@ class InstrumentKind(StrEnum):
 
 
 class Carrier(StrEnum):
-    """Sphere mounting in a named scene: on individual screws or on the x-shaped frame."""
+    """Fiducials of a named scene: spheres on screws or on a frame, the skin, or the skin and few spheres."""
 
     FREE = "free"
     XFRAME = "xframe"
+    SURFACE = "surface"
+    MIXED = "mixed"
 
 
 class ArmRole(StrEnum):
@@ -53,7 +55,10 @@ FaultsOption = Annotated[Path | None, typer.Option(help="Fault script, one fault
 ListParametersOption = Annotated[
     bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
 ]
-MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")]
+MarkersOption = Annotated[
+    int | None,
+    typer.Option(min=1, max=8, help="Spheres on the head: 3 to 8; with mixed fiducials 1 to 3."),
+]
 RoleOption = Annotated[ArmRole, typer.Option(hidden=True, help="Role of the arm in that theatre.")]
 SceneOption = Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")]
 SetOption = Annotated[

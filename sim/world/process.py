@@ -23,6 +23,7 @@ from sim.errors import BAD_SCENE
 from sim.world.background import IN_BACKGROUND, DaemonState, hand_over, leave_output
 from sim.world.control_port import ControlledRoom, ControlPort
 from sim.world.faults import read_faults
+from sim.world.head_surface.skin_shift import SkinShift
 from sim.world.options import ArmRole, Carrier
 from sim.world.running import register
 from sim.world.scene.arm_design import DESIGNS
@@ -163,12 +164,11 @@ def load_scene(
     """Draw a named scene, or read a scene file; raises SIM-001.
 
     `calibrated`: the arm has a calibration record. `first_day`: frame and tip have no valid one.
-    `target_balls`: a ball at each target. `dual`: a second arm, unless the scene has one; both arms are
-    calibrated, as two arms must be. `drill`: the theatre's assistant drills.
+    `target_balls`: a ball at each target; a named scene is then a rigid phantom. `dual`: a second arm, unless
+    the scene has one; both arms are calibrated, as two arms must be. `drill`: the theatre's assistant drills.
     """
     if scene in SCENES:
-        on_frame = fiducials is Carrier.XFRAME
-        drawn = draw_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame, arm=arm)
+        drawn = draw_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials, arm=arm)
     elif fiducials is not Carrier.FREE:
         raise BAD_SCENE("a scene file defines how its spheres are fixed: omit --fiducials")
     elif arm is not ArmChoice.KR6:
@@ -181,6 +181,8 @@ def load_scene(
         drawn = read_scene(Path(scene))
     if target_balls:
         head = drawn.head.model_copy(update={"target_balls": True})
+        if scene in SCENES:
+            head = head.model_copy(update={"skin_shift": SkinShift()})
         drawn = drawn.model_copy(update={"head": head})
     if dual and not drawn.holders:
         # Two arms often hide a sphere of three; the frame on the clamp is then watched in their place.

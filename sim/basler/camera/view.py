@@ -43,7 +43,9 @@ class View:
         self._fiducials = (*spheres_in_theatre(world.scene), *_target_balls(head))
         self._numbers = [each.number for each in self._fiducials]
         self._robot_from_ct = matrix_of(head.robot_from_ct)
-        self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._fiducials])
+        self._centres_mm = apply(
+            self._robot_from_ct, np.array([each.centre_ct_mm for each in self._fiducials]).reshape(-1, 3)
+        )
         self._stand_mm = np.array(world.scene.stand.ball_mm)
         self._stand_number = 1 + max((each.number for each in self._fiducials), default=0)
         self._room = ShiftedRoom(world)
@@ -108,6 +110,8 @@ class View:
         return turn @ self._camera_from_tool if angle_rad else self._camera_from_tool
 
     def _bench_spheres(self, camera_from_tool: Pose) -> tuple[DrawnSphere, ...]:
+        if not self._fiducials:
+            return ()
         first = self._fiducials[0]
         rotation = camera_from_tool[:3, :3] @ _rotation_along_post((0.0, 0.0, -1.0))
         return (DrawnSphere(camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
@@ -178,7 +182,7 @@ def _target_balls(head: Head) -> tuple[Fiducial, ...]:
     """Return the balls at the targets, on posts along the trajectories."""
     if not head.target_balls:
         return ()
-    first = 1 + max(each.number for each in head.fiducials)
+    first = 1 + max((each.number for each in head.fiducials), default=0)
     return tuple(
         Fiducial(number=number, centre_ct_mm=each.target_ct_mm, post_ct=each.outwards_ct)
         for number, each in enumerate(head.targets, first)

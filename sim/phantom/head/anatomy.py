@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from sim.errors import BAD_SCENE
 from sim.phantom.head.painting import Band, Streak
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Shape, Trough, Values, ellipsoid_depth
+from sim.world.head_surface.parametric_head import Landmarks
 from sim.world.noise import noise
 from sim.world.rigid import Point, as_point
 from sim.world.scene.model import Fiducial, Head, Scene
+from sim.world.scene.skin import head_extent, head_with_face, skin_in_ct
 from sim.world.skull import DIPLOE_MM, INNER_TABLE_MM, OUTER_TABLE_MM, SCALP_LAYERS_MM, SCALP_MM
 
 AIR_HU = -1000.0
@@ -47,8 +49,11 @@ TEETH_ARC_MM = (23.0, 27.0)  # half width and depth of the dental arch
 TEETH_FRONT = 0.27  # of the semi-axis to the front: middle of the arch
 TOOTH_MM = (2.9, 2.9, 5.5)
 FILLING_RADIUS_MM = 1.7
+LIPS_MM = 14.0  # before the teeth
+LONGEST_POST_MM = 100.0
 
 JAW_RADIUS_MM = 4.0
+FRONTAL_MM, CHEEKS_MM, NASAL_MM = (7.0, 4.0, 8.0), (11.0, 13.0, 12.0), (8.0, 10.0, 7.0)  # air cavities
 
 FOAM_GAP_MM = 3.0
 FOAM_MM = 10.0
@@ -97,7 +102,7 @@ class HeadLayers:
         for thickness, hu in layers:
             table[depths >= top] = hu
             top += thickness
-        self._table = _blur_table(table, blur_mm / STEP_MM).astype(np.float32)
+        self._table = blur_table(table, blur_mm / STEP_MM).astype(np.float32)
 
     def hu_at(self, x: Values, y: Values, z: Values) -> Values:
         """Return the HU at the given points, using air outside the head."""
@@ -114,7 +119,8 @@ class HeadLayers:
         return None if squared <= 0.0 else (a * sqrt(squared), b * sqrt(squared))
 
 
-def _blur_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+def blur_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """Blur a row of values by a Gaussian of `sigma` steps."""
     if sigma <= 0.0:
         return table
     margin = int(np.ceil(BLUR_MARGIN * sigma))
@@ -225,6 +231,12 @@ def marker_on_metal(
 
 def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
     """Return the distance in mm from the sphere's centre along its post to the skin."""
+    if head.face is not None:
+        down = -np.array([fiducial.post_ct])
+        found = skin_in_ct(head).cast(np.array([fiducial.centre_ct_mm]), down, LONGEST_POST_MM)[0]
+        if np.isnan(found):
+            raise BAD_SCENE(f"the post of fiducial {fiducial.number} is not on the head")
+        return float(found)
     axes = np.array(head.semi_axes_mm)
     start = (np.array(fiducial.centre_ct_mm) - head.centre_ct_mm) / axes
     along = -np.array(fiducial.post_ct) / axes
@@ -248,7 +260,8 @@ def trough(head: Head) -> tuple[Shape, ...]:
 
 def side_cable(head: Head) -> tuple[Shape, ...]:
     """Return a sheathed wire next to the head."""
-    centre = shift_point(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
+    to_cable = head_extent(head)[1][0] - head.centre_ct_mm[0] + CABLE_GAP_MM
+    centre = shift_point(head.centre_ct_mm, (1.0, 0.0, 0.0), to_cable)
     centre = shift_point(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
     return tuple(
         Cable(hu, centre, radius, CABLE_SWING_MM, CABLE_WAVE_MM)
@@ -265,10 +278,22 @@ def ventricles(head: Head) -> tuple[Shape, ...]:
 
 def sinuses(head: Head) -> tuple[Shape, ...]:
     """Return the air cavities of forehead, cheeks and nose."""
-    frontal = [((side * 0.14, -0.80, -0.12), (7.0, 4.0, 8.0)) for side in (-1, 1)]
-    cheeks = [((side * 0.30, -0.52, -0.45), (11.0, 13.0, 12.0)) for side in (-1, 1)]
-    places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), (8.0, 10.0, 7.0))]
+    if (faced := head_with_face(head)) is not None:
+        return _sinuses_of_face(head.centre_ct_mm, faced.landmarks)
+    frontal = [((side * 0.14, -0.80, -0.12), FRONTAL_MM) for side in (-1, 1)]
+    cheeks = [((side * 0.30, -0.52, -0.45), CHEEKS_MM) for side in (-1, 1)]
+    places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), NASAL_MM)]
     return tuple(Ellipsoid(AIR_HU, point_at_share(head, place), size) for place, size in places)
+
+
+def _sinuses_of_face(centre: Point, marks: Landmarks) -> tuple[Shape, ...]:
+    frontal = [
+        ((side * 9.0, marks.brow_front_mm + 17.0, marks.sellion_mm + 17.0), FRONTAL_MM) for side in (-1, 1)
+    ]
+    behind, height = marks.face_front_mm + 42.0, marks.sellion_mm - 37.0
+    cheeks = [((side * 25.0, behind, height), CHEEKS_MM) for side in (-1, 1)]
+    places = [*frontal, *cheeks, ((0.0, behind, height), NASAL_MM)]
+    return tuple(Ellipsoid(AIR_HU, as_point(np.add(centre, place)), size) for place, size in places)
 
 
 def jaw_teeth(
@@ -276,6 +301,10 @@ def jaw_teeth(
 ) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
     """Return an arch of teeth in a jaw, and the metal fillings in some of them."""
     middle = point_at_share(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
+    if (faced := head_with_face(head)) is not None:
+        marks = faced.landmarks
+        front = (0.0, marks.face_front_mm + LIPS_MM + TEETH_ARC_MM[1], marks.mouth_mm)
+        middle = as_point(np.add(head.centre_ct_mm, front))
     width, depth = TEETH_ARC_MM
     angles = np.linspace(-TEETH_ARC_RAD, TEETH_ARC_RAD, TEETH)
     crowns = [

@@ -56,6 +56,7 @@ CYLINDER_LENGTH_MM = (24.0, 40.0)
 DISTRACTOR_STANDOFF_MM = (22.0, 32.0)
 
 FREE, XFRAME, XFRAME_CLOSE, ADHESIVE = "free", "xframe", "xframe-close", "adhesive"
+SKIN_ONLY, WITH_SKIN = "surface", "mixed"  # a head with a face, without spheres or with few
 FRAMES = {XFRAME: SPHERE_CENTRES_MM, XFRAME_CLOSE: CLOSE_SPHERE_CENTRES_MM}
 SPHERES = 4
 

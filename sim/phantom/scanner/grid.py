@@ -12,6 +12,7 @@ import numpy as np
 from sim.errors import BAD_SCENE
 from sim.world.rigid import Vector
 from sim.world.scene.model import CtProtocol, Head
+from sim.world.scene.skin import head_extent
 
 MARKER_ROOM_MM = 14.0  # around a sphere's centre: the sphere, its blur, and air for contrast
 TARGET_ROOM_MM = 3.0
@@ -63,8 +64,7 @@ def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
     """
     counts = np.array([protocol.columns, protocol.rows, protocol.slices])
     spacing = np.array([protocol.pixel_mm, protocol.pixel_mm, protocol.slice_mm])
-    centre, semi_axes = np.array(head.centre_ct_mm), np.array(head.semi_axes_mm)
-    spheres = np.array([fiducial.centre_ct_mm for fiducial in head.fiducials])
+    spheres = np.array([fiducial.centre_ct_mm for fiducial in head.fiducials]).reshape(-1, 3)
     ends = np.array([end for target in head.targets for end in (target.entry_ct_mm, target.target_ct_mm)])
     needed = np.vstack(
         [spheres - MARKER_ROOM_MM, spheres + MARKER_ROOM_MM, ends - TARGET_ROOM_MM, ends + TARGET_ROOM_MM]
@@ -77,7 +77,8 @@ def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
             expected=f"a field of {_format_dimensions(high - low)} mm",
             got=f"{_format_dimensions(field)} mm",
         )
-    middle = 0.5 * (np.minimum(low, centre - semi_axes) + np.maximum(high, centre + semi_axes))
+    lowest, highest = head_extent(head)
+    middle = 0.5 * (np.minimum(low, lowest) + np.maximum(high, highest))
     return centre_grid(np.clip(middle, high - field / 2, low + field / 2), protocol)
 
 

@@ -83,7 +83,10 @@ class TrueScene:
         on_clamp = scene.head.robot_from_patient_frame
         self._robot_from_patient_frame = None if on_clamp is None else matrix_of(on_clamp)
         self._guide = TrueGuide(world)
-        self._head: tuple[OpaqueBody, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
+        has_head = scene.tracker.fiducials_visible and bool(fiducials or scene.head.face)
+        self._head: tuple[OpaqueBody, ...] = (
+            (head_ellipsoid(scene.head, self._tracker_from_robot),) if has_head else ()
+        )
 
     def arm(self, role: ArmRole = ArmRole.MASTER) -> ArmState | None:
         """Return an arm's state, or None if the world has no such arm."""
@@ -117,9 +120,8 @@ class TrueScene:
         self, arm: ArmState | None, mounted_tool: int, room: RoomShift = NOTHING_MOVED
     ) -> tuple[OpaqueBody, ...]:
         """Return the opaque bodies: the head at its scene position, and the arm."""
-        head = self._head if self.fiducial_numbers else ()
         tracker_from_robot = self._tracker_from(room)
-        bodies = [*head]
+        bodies = [*self._head]
         if arm is not None:
             bodies.append(self._arm_body.capsules(arm, mounted_tool, tracker_from_robot))
         for role, body in self._holder_bodies.items():

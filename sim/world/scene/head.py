@@ -7,6 +7,7 @@ operation.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, radians, sin
 
@@ -16,6 +17,8 @@ from ronna_hw.adhesive_marker import THICKNESS_MM
 from ronna_hw.marker_template import MarkerTemplate
 from ronna_hw.x_frame import BAR_BELOW_MM, BAR_RADIUS_MM, SPHERE_CENTRES_MM, STANDOFF_MM, bodies
 from sim.errors import BAD_SCENE
+from sim.world.head_surface.face import Measures
+from sim.world.head_surface.parametric_head import ParametricHead
 from sim.world.rigid import (
     Point,
     Vector,
@@ -68,6 +71,11 @@ LOWEST_ADHESIVE = -0.1  # share of the direction towards the vertex
 MOST_BEHIND = 0.5  # share of the direction towards the back
 
 
+OUTSIDE_MM = 400.0  # from the centre: outside every head
+
+Skin = Callable[[Vector], tuple[Vector, Vector]]  # point and normal from the centre, by the direction
+
+
 @dataclass(frozen=True)
 class DrawnHead:
     """A head, and how many trajectories were drawn and passed over because the arm could not take them.
@@ -87,30 +95,34 @@ def draw_head(
     *,
     x_frame: bool = False,
     arm: ArmDesign = KR6,
+    measures: Measures | None = None,
 ) -> DrawnHead:
     """Draw a head with 3 to 8 spheres (`markers`) and `targets` in an arm's reach.
 
     Raises SIM-001 if they do not fit.
 
     A template fixes the spheres' places, each slightly missed; with `x_frame` they are those of the frame.
+    With `measures` the head has a face, and as few spheres as are asked for.
     """
-    if not 3 <= markers <= 8:
+    if not (0 if measures else 3) <= markers <= 8:
         raise BAD_SCENE(f"a head carries 3 to 8 markers, not {markers}")
     if not 1 <= targets <= 10:
         raise BAD_SCENE(f"a plan has 1 to 10 targets, not {targets}")
+    skin = skin_at if measures is None else skin_of(measures)
     frame = draw_frame(generator) if x_frame else None
     if frame is not None:
         fiducials = frame.fiducials
     else:
         fiducials = (
-            _implant_fiducials(generator, template) if template else _draw_fiducials(generator, markers)
+            _implant_fiducials(generator, template) if template else _draw_fiducials(generator, markers, skin)
         )
     pose = _draw_pose(generator, arm.head_mm)
-    drawn, passed_over = _draw_targets(generator, targets, fiducials, pose, frame, arm.variant)
+    drawn, passed_over = _draw_targets(generator, targets, fiducials, pose, frame, arm.variant, skin)
     head = Head(
         robot_from_ct=pose_of(pose),
         centre_ct_mm=CENTRE_CT_MM,
-        semi_axes_mm=SEMI_AXES_MM,
+        semi_axes_mm=SEMI_AXES_MM if measures is None else measures.semi_axes_mm,
+        face=None if measures is None else measures.face,
         fiducials=fiducials,
         x_frame=x_frame,
         template_mm=template.centres_mm if template else None,
@@ -153,11 +165,11 @@ def _draw_pose(generator: np.random.Generator, middle_mm: Point) -> Vector:
     return matrix_from(centre - rotation @ np.array(CENTRE_CT_MM), rotation)
 
 
-def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducial, ...]:
+def _draw_fiducials(generator: np.random.Generator, count: int, skin: Skin) -> tuple[Fiducial, ...]:
     axis = np.array(CAP_AXIS_CT)
     for _ in range(ATTEMPTS):
-        found = [skin_at(draw_direction(generator, axis, CAP_HALF_ANGLE_RAD)) for _ in range(count)]
-        centres = np.array([point + normal * SPHERE_STANDOFF_MM for point, normal in found])
+        found = [skin(draw_direction(generator, axis, CAP_HALF_ANGLE_RAD)) for _ in range(count)]
+        centres = np.array([point + normal * SPHERE_STANDOFF_MM for point, normal in found]).reshape(-1, 3)
         if _is_well_spread(centres):
             break
     else:
@@ -186,12 +198,14 @@ def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate)
 
 
 def _is_well_spread(centres: Vector) -> bool:
+    if len(centres) < 2:
+        return True
     rows, columns = np.triu_indices(len(centres), 1)
     distances = np.linalg.norm(centres[rows] - centres[columns], axis=1)
     if distances.min() < SMALLEST_DISTANCE_MM:
         return False
     # With three or four points the distances alone must identify them.
-    if len(centres) <= 4:
+    if 3 <= len(centres) <= 4:
         spacing = np.diff(np.sort(distances)).min()
         return bool(spacing >= (SMALLEST_SIDE_DIFFERENCE_MM if len(centres) == 3 else 2.0))
     return True
@@ -204,19 +218,20 @@ def _draw_targets(
     robot_from_ct: Vector,
     frame: FrameOnHead | None,
     variant: str,
+    skin: Skin,
 ) -> tuple[tuple[Target, ...], int]:
     """Draw trajectories between the spheres, all within reach of the arm in one posture, and count others."""
     axis = np.array(CAP_AXIS_CT)
-    spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials])
+    spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials]).reshape(-1, 3)
     feasibility = PlanFeasibility(apply(robot_from_ct, spheres), variant)
     targets: list[Target] = []
     drawn: list[tuple[Vector, Vector]] = []  # entries and targets in the robot frame
     passed_over = 0
     for _ in range(ATTEMPTS):
-        point, normal = skin_at(draw_direction(generator, axis, ENTRY_HALF_ANGLE_RAD))
+        point, normal = skin(draw_direction(generator, axis, ENTRY_HALF_ANGLE_RAD))
         inward = draw_direction(generator, -normal, TILT_RAD)
         entry = point + CENTRE_CT_MM
-        if np.linalg.norm(spheres - entry, axis=1).min() < ENTRY_CLEARANCE_MM:
+        if (np.linalg.norm(spheres - entry, axis=1) < ENTRY_CLEARANCE_MM).any():
             continue
         if frame is not None and not frame.leaves_free(entry, -inward):
             continue
@@ -313,3 +328,16 @@ def skin_at(direction: Vector, semi_axes_mm: Point = SEMI_AXES_MM) -> tuple[Vect
     point = direction / np.linalg.norm(direction / axes)
     normal = point / axes**2
     return point, normal / np.linalg.norm(normal)
+
+
+def skin_of(measures: Measures) -> Skin:
+    """Return the function that finds the skin of a head with a face, as `skin_at` does on the ellipsoid."""
+    surface = ParametricHead((0.0, 0.0, 0.0), measures.semi_axes_mm, measures.face)
+
+    def find(direction: Vector) -> tuple[Vector, Vector]:
+        start = OUTSIDE_MM * direction / np.linalg.norm(direction)
+        along = surface.cast(start[None], -start[None] / OUTSIDE_MM, OUTSIDE_MM)
+        point = start * (1.0 - along[0] / OUTSIDE_MM)
+        return point, surface.normals(point[None])[0]
+
+    return find

@@ -25,6 +25,9 @@ from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BAD_SCENE
 from sim.world.descriptions import MAKES
+from sim.world.head_surface.bare_bone import BareBone
+from sim.world.head_surface.face import Face
+from sim.world.head_surface.skin_shift import SkinShift
 from sim.world.options import ArmRole
 from sim.world.scene.parts import (
     ASSISTANT_FRAME_PART_NUMBER,
@@ -96,8 +99,18 @@ class Head(Strict):
     semi_axes_mm: tuple[HeadAxis, HeadAxis, HeadAxis] = Field(
         description="Semi-axes of the ellipsoid: left, posterior, superior."
     )
-    fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)] = Field(
-        description="Spheres on bone screws or on the x-shaped frame."
+    face: Face | None = Field(
+        default=None, description="Measures of the face on that ellipsoid; without it, the ellipsoid alone."
+    )
+    skin_shift: SkinShift = Field(
+        default=SkinShift(), description="How the skin moved since the CT; with a face only."
+    )
+    bare_bone: BareBone | None = Field(
+        default=None,
+        description="Where the scalp is open in the theatre, on a head with a face; none without.",
+    )
+    fiducials: tuple[Fiducial, ...] = Field(
+        description="Spheres on bone screws or on the x-shaped frame; none only on a head with a face."
     )
     seating_error_mm: NotNegative = Field(
         default=SEATING_ERROR_MM,
@@ -141,6 +154,14 @@ class Head(Strict):
         return self
 
     @model_validator(mode="after")
+    def _shifted_skin_has_a_face(self) -> Self:
+        if self.face is None and not self.skin_shift.is_none:
+            raise ValueError("skin_shift needs a face: the ellipsoid's skin does not move")
+        if self.face is None and self.bare_bone is not None:
+            raise ValueError("bare_bone needs a face: the ellipsoid has no skull of its own")
+        return self
+
+    @model_validator(mode="after")
     def _frame_is_the_frame(self) -> Self:
         if self.x_frame:
             centres = [one.centre_ct_mm for one in self.fiducials]
@@ -160,8 +181,10 @@ class Head(Strict):
         there = [one for one in self.fiducials if not one.missing]
         bases = [one.base_in_theatre or one.number for one in there]
         unknown = sorted(set(bases) - {one.number for one in self.fiducials})
-        if not there:
-            raise ValueError("at least one sphere must be present in the theatre")
+        if not there and self.face is None:
+            raise ValueError(
+                "at least one sphere must be present in the theatre, or the head must have a face"
+            )
         if unknown:
             raise ValueError(f"base_in_theatre names unknown spheres: {unknown}")
         if len(set(bases)) < len(bases):

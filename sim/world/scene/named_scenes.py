@@ -6,7 +6,7 @@ towards the robot; the tracker views the head from above and the side.
 
 from __future__ import annotations
 
-from math import radians
+from math import ceil, radians
 
 import numpy as np
 
@@ -18,7 +18,10 @@ from ronna_hw.x_frame import NAME as X_FRAME_NAME
 from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.errors import BAD_SCENE
+from sim.world.head_surface.face import draw_measures
+from sim.world.head_surface.skin_shift import draw_shift
 from sim.world.noise import noise
+from sim.world.options import Carrier
 from sim.world.rigid import Point, apply, as_point, matrix_from, matrix_of, pose_of, rotation_towards
 from sim.world.scene.arm_design import CHOSEN
 from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount
@@ -35,6 +38,9 @@ from sim.world.scene.parts import (
 SCENES = ("default", "mini", "bench", "bench-near")
 MINI_CT = CtProtocol(pixel_mm=1.0, slice_mm=1.5, columns=256, rows=256, slices=134, noise_HU=20.0)
 MINI_AREA_PX = (800, 800)
+HEAD_AND_CHIN_MM = 261.0  # field of a CT of head and face along its slices
+# Markers by the kind of fiducials, the usual number last
+MARKERS_ON_SKIN = {Carrier.SURFACE: (0,), Carrier.MIXED: (1, 3, 2)}
 # The tracker must see the head and, with the arm at home, the reference frame M half a metre above it.
 MARKER_FROM_HEAD_MM = (-150.0, 0.0, 500.0)
 TRACKER_DIRECTION = (500.0, 900.0, 1300.0)
@@ -60,41 +66,54 @@ def draw_scene(
     markers: int | None = None,
     targets: int | None = None,
     template: MarkerTemplate | None = None,
-    x_frame: bool = False,
+    fiducials: Carrier = Carrier.FREE,
     arm: ArmChoice = ArmChoice.KR6,
 ) -> Scene:
     """Draw a named scene; raises SIM-001 for an unknown name.
 
-    The default scene has 5 markers and 3 targets, the mini scene 3 and 1; `x_frame` has the four markers of
-    that frame, which the tracker knows as a tool.
+    The default scene has 5 markers and 3 targets, the mini scene 3 and 1. The x-shaped frame has four markers
+    and is a tool of the tracker. With the skin as fiducial the head has a face, a skin that moved, no markers
+    or 1 to 3 (`mixed`; 2 by default), and the patient's frame on its clamp.
     """
     if name not in SCENES:
         raise BAD_SCENE(
             f"unknown scene {name!r}", expected=", ".join(SCENES), action=did_you_mean(name, SCENES) or None
         )
+    x_frame, on_skin = fiducials is Carrier.XFRAME, fiducials in MARKERS_ON_SKIN
     if x_frame and markers not in (None, len(SPHERE_CENTRES_MM)):
         raise BAD_SCENE(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
     mini = name == "mini"
+    usual = MARKERS_ON_SKIN[fiducials][-1] if on_skin else 3 if mini else 5
+    count = usual if markers is None else markers
+    if on_skin and count not in MARKERS_ON_SKIN[fiducials]:
+        fitting = " or ".join(map(str, sorted(MARKERS_ON_SKIN[fiducials])))
+        raise BAD_SCENE(f"with fiducials {fiducials} a head carries {fitting} markers, not {count}")
     generator = scene_generator(seed)
     design = CHOSEN[arm]
     head = draw_head(
         generator,
-        (3 if mini else 5) if markers is None else markers,
+        count,
         (1 if mini else 3) if targets is None else targets,
         template,
         x_frame=x_frame,
         arm=design,
+        measures=draw_measures(noise(seed, "face", 0)) if on_skin else None,
     ).head
+    if on_skin:
+        head = head.model_copy(update={"skin_shift": draw_shift(noise(seed, "skin shift", 0))})
     left, right = draw_cameras(generator)
     true_arm, mount = draw_arm(generator, design), draw_mount(generator)
     on_bench = name in BENCH_DISTANCES_MM
     if not on_bench:
         mount = mount.model_copy(update={"guide": Guide(tip_from_frame=GUIDE_FRAME_IN_TIP)})
-    return Scene(
+    protocol = MINI_CT if mini else CtProtocol()
+    if on_skin:
+        protocol = whole_head(protocol)
+    scene = Scene(
         name=name,
         seed=seed,
         head=head,
-        ct=MINI_CT if mini else CtProtocol(),
+        ct=protocol,
         arm=true_arm,
         mount=mount,
         tracker=_place_bench_tracker(BENCH_DISTANCES_MM[name])
@@ -109,6 +128,12 @@ def draw_scene(
         stand=_draw_stand(seed, design.head_mm),
         servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
     )
+    return add_patient_frame(scene) if on_skin and not on_bench else scene
+
+
+def whole_head(protocol: CtProtocol) -> CtProtocol:
+    """Return the protocol with as many slices as head and chin need."""
+    return protocol.model_copy(update={"slices": ceil(HEAD_AND_CHIN_MM / protocol.slice_mm)})
 
 
 def scene_generator(seed: int) -> np.random.Generator:

@@ -8,6 +8,7 @@ import pytest
 from simulated_case import SimulatedCase
 
 from ronna_hw.x_frame import NAME
+from sim.world.options import Carrier
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import add_patient_frame, draw_scene
 
@@ -23,7 +24,7 @@ MOVED_HEAD = "since step == at_target: room shift head 1 0.5 0 mm\n"
 
 def without_definition() -> Scene:
     """The scene of a tracker without the frame's definition."""
-    scene = draw_scene("mini", seed=3, x_frame=True)
+    scene = draw_scene("mini", seed=3, fiducials=Carrier.XFRAME)
     tools = tuple(one for one in scene.tracker.tools if one.name != NAME)
     assert len(tools) == len(scene.tracker.tools) - 1
     return scene.model_copy(update={"tracker": scene.tracker.model_copy(update={"tools": tools})})

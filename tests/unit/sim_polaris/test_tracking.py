@@ -9,6 +9,7 @@ import pytest
 from polaris_bench import Bench, MakeBench
 
 from sim.world.nominal_arm import description
+from sim.world.options import Carrier
 from sim.world.rigid import apply, inverse, matrix_of, quaternion_from_rotation
 from sim.world.scene.model import Scene, TrackerTool
 from sim.world.scene.named_scenes import (
@@ -233,7 +234,7 @@ def test_fiducials_on_the_head_are_strays(make_bench: MakeBench) -> None:
 
 
 def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(make_bench: MakeBench) -> None:
-    scene = draw_scene("mini", seed=3, x_frame=True)
+    scene = draw_scene("mini", seed=3, fiducials=Carrier.XFRAME)
     here = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(scene.head.robot_from_ct)
     spheres = apply(here, [one.centre_ct_mm for one in scene.head.fiducials])
     as_strays = with_arm(make_bench, scene, robot_frame())

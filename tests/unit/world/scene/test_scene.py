@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 from sim.errors import BAD_SCENE
+from sim.world.options import Carrier
 from sim.world.scene.head import SMALLEST_DISTANCE_MM
 from sim.world.scene.model import parse_scene, read_scene
 from sim.world.scene.named_scenes import add_patient_frame, draw_scene
@@ -130,7 +131,7 @@ def test_every_built_in_scene_is_read_back_unchanged_from_its_file(tmp_path: Pat
 
 
 def test_a_frame_whose_spheres_do_not_match_its_layout_is_refused() -> None:
-    content = json.loads(draw_scene("mini", x_frame=True).model_dump_json(by_alias=True))
+    content = json.loads(draw_scene("mini", fiducials=Carrier.XFRAME).model_dump_json(by_alias=True))
     content["head"]["fiducials"][1]["centre_ct_mm"][0] += 0.1
     with raises(BAD_SCENE, match="do not match the x-shaped frame"):
         parse_scene(content, "scene.json")
@@ -138,7 +139,7 @@ def test_a_frame_whose_spheres_do_not_match_its_layout_is_refused() -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_the_guide_has_clearance_from_the_frame(seed: int) -> None:
-    head = draw_scene("default", seed=seed, x_frame=True).head
+    head = draw_scene("default", seed=seed, fiducials=Carrier.XFRAME).head
     place, _ = Rotation.align_vectors(
         np.diff([one.centre_ct_mm for one in head.fiducials], axis=0), np.diff(SPHERE_CENTRES_MM, axis=0)
     )

@@ -1,0 +1,1 @@
+"""Heads with a face: shape, hair, regions, and how the skin moved between CT and theatre."""

@@ -1,0 +1,64 @@
+"""Skin of a scene's head: in the CT, and as it is in the theatre."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from sim.world.head_surface.bare_bone import HeadWithBareBone
+from sim.world.head_surface.ellipsoidal_head import EllipsoidalHead
+from sim.world.head_surface.face import Face
+from sim.world.head_surface.parametric_head import ParametricHead
+from sim.world.head_surface.skin_shift import ShiftedHead
+from sim.world.head_surface.skull_surface import SkullSurface
+from sim.world.head_surface.surface import HeadSurface
+from sim.world.rigid import Point, Vector
+from sim.world.scene.model import Head
+
+FAR_MM = 400.0  # from the centre: outside every head
+
+
+def head_with_face(head: Head) -> ParametricHead | None:
+    """Return the parametric head of a scene's head in the CT, or None if it has no face."""
+    if head.face is None:
+        return None
+    return _build(head.centre_ct_mm, head.semi_axes_mm, head.face)
+
+
+def skin_in_ct(head: Head) -> HeadSurface:
+    """Return the skin as the CT shows it."""
+    return head_with_face(head) or EllipsoidalHead(head.centre_ct_mm, head.semi_axes_mm)
+
+
+def skin_in_theatre(head: Head) -> HeadSurface:
+    """Return the skin as it is in the theatre, in the CT frame: where `robot_from_ct` puts it."""
+    faced = head_with_face(head)
+    if faced is None:
+        return skin_in_ct(head)
+    skin = faced if head.skin_shift.is_none else ShiftedHead(faced, head.skin_shift)
+    return skin if head.bare_bone is None else HeadWithBareBone(skin, SkullSurface(faced), head.bare_bone)
+
+
+def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
+    """Return the skin's outermost point in a direction from the centre, CT frame, and its outward normal."""
+    skin, centre = skin_in_ct(head), np.array(head.centre_ct_mm)
+    inwards = -np.asarray(direction) / np.linalg.norm(direction)
+    start = centre - FAR_MM * inwards
+    along = skin.cast(start[None], inwards[None], FAR_MM)
+    point = start + along[0] * inwards
+    return point, skin.normals(point[None])[0]
+
+
+def head_extent(head: Head) -> tuple[Vector, Vector]:
+    """Return the lowest and highest coordinates of the head, CT frame, without the neck."""
+    faced = head_with_face(head)
+    if faced is not None:
+        return np.array(faced.extent_mm[0]), np.array(faced.extent_mm[1])
+    centre, axes = np.array(head.centre_ct_mm), np.array(head.semi_axes_mm)
+    return centre - axes, centre + axes
+
+
+@lru_cache(maxsize=8)
+def _build(centre_ct_mm: Point, semi_axes_mm: Point, face: Face) -> ParametricHead:
+    return ParametricHead(centre_ct_mm, semi_axes_mm, face)
