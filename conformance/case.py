@@ -26,6 +26,9 @@ MOTION = Need("motion", "it moves the device: allow it with --allow motion")
 DESTRUCTIVE = Need(
     "destructive", "it resets the device or changes its settings: allow it with --allow destructive"
 )
+OUTPUT = Need(
+    "output", "it switches an output line, and a laser that is wired to it: allow it with --allow output"
+)
 LINE_FAULTS = Need("line faults", "no proxy can be put between this driver and this endpoint")
 CHECKED_REPLIES = Need("checked replies", "the driver's wire protocol has no known checksums")
 HOST_TIME = Need("host time", "the theatre's clock is not the host's")

@@ -40,7 +40,7 @@ def conformance(
     driver: Annotated[str | None, typer.Option(help="Entry point of the driver to test.")] = None,
     device: Annotated[str | None, typer.Option(help="Robot of the theatre file.")] = None,
     allow: Annotated[
-        list[str] | None, typer.Option(help="Also run cases that require this: motion or destructive.")
+        list[str] | None, typer.Option(help="Also run cases that require this: motion, destructive or output.")
     ] = None,
     only: Annotated[
         list[str] | None, typer.Option(help="Run only cases whose number starts with this, such as P or T2.")

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from conformance.case import NotShown, Suite, check, refused, require_present
+from conformance.case import OUTPUT, NotShown, Suite, check, refused, require_present
 from conformance.device_cases import (
     DeviceCases,
     check_closing,
@@ -19,7 +19,7 @@ from conformance.device_cases import (
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
-from ronna_hw.devices.sensors import StereoPair
+from ronna_hw.devices.sensors import StereoPair, line_projector
 from ronna_hw.errors import ConfigurationError, ConnectError, LimitError, StateError
 
 PAIRS = 5
@@ -191,6 +191,23 @@ def closing_is_bounded(dut: DeviceUnderTest) -> None:
     dut.bring_to(Lifecycle.ACTIVE, pair)
     check_closing(pair, CLOSE_LIMIT_S)
     require_both_images(dut.at(Lifecycle.ACTIVE).grab_pair())
+
+
+@SUITE.case(
+    "S19", "a line projector switches on and off, and the end of the streams switches it off", needs=(OUTPUT,)
+)
+def projector_switches(dut: DeviceUnderTest) -> None:
+    pair = dut.at(Lifecycle.ACTIVE)
+    if (projector := line_projector(pair)) is None:
+        raise NotShown("the theatre file names no line projector")
+    check(not projector.projector_on, "a projector that is off when the streams start")
+    for on in (True, False, True):
+        projector.set_projector(on)
+        check(projector.projector_on == on, f"a projector that is {'on' if on else 'off'}")
+        require_both_images(pair.grab_pair())
+    pair.deactivate()
+    check(not projector.projector_on, "a projector that is off once the streams have stopped")
+    pair.activate()
 
 
 SUITE.cases.extend(DeviceCases(lambda pair: pair.grab_pair(), CLOSE_LIMIT_S).build_cases("S", 15))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from conformance.case import DESTRUCTIVE, HOST_TIME, LINE_FAULTS, MOTION, Suite
+from conformance.case import DESTRUCTIVE, HOST_TIME, LINE_FAULTS, MOTION, OUTPUT, Suite
 from conformance.device_under_test import DeviceUnderTest
 from conformance.errors import DEVICE_NOT_IN_FILE, NO_DEVICE_CHOSEN, NO_SIMULATOR
 from conformance.protocol import ProtocolCases, compose_suite, load_driver_protocol
@@ -23,7 +23,7 @@ from ronna_hw.mistakes import suggest_keys
 from ronna_hw.registry import list_driver_names, load_driver, load_finders
 
 SIMULATOR_MODULE = "sim.cli"  # started as a command, never imported
-PERMISSIONS = (MOTION.name, DESTRUCTIVE.name)
+PERMISSIONS = (MOTION.name, DESTRUCTIVE.name, OUTPUT.name)
 
 
 @dataclass(frozen=True)

@@ -200,6 +200,11 @@ class GigeFeatures:
     def has(self, name: str) -> bool:
         return name in self.nodes
 
+    def entries(self, name: str) -> tuple[str, ...]:
+        """List the entry names of an enumeration."""
+        children = self._find_node(name)
+        return tuple(child.get("Name", "") for child in children if _kind(child) == "EnumEntry")
+
     @read_as("an entry with an integer value")
     def entry(self, name: str, entry: str) -> int:
         """Return the value of an enumeration entry."""

@@ -5,7 +5,7 @@ All lines are about the camera, on the wire; a case's number is G and its line.
 
 from __future__ import annotations
 
-from conformance.gige import control_cases, stream_cases
+from conformance.gige import control_cases, line_cases, stream_cases
 from conformance.protocol import Checklist, ProtocolCases
 
 _LINES: dict[int, str] = {
@@ -49,6 +49,8 @@ _LINES: dict[int, str] = {
     38: "AcquisitionStop ends the stream after at most the frame in progress",
     39: "user set Default restores the power-on values",
     40: "killing any client at any moment never needs a restart",
+    41: "an output line follows UserOutputValue and LineInverter, and LineStatus shows its level",
+    42: "an output line of source ExposureActive is high during the exposure only",
 }
 # Requirements of a line beyond its cases, and where they are tested.
 _REMARKS: dict[int, str] = {
@@ -63,7 +65,7 @@ GIGE_CHECKLIST = Checklist(letters="G", lines=_LINES, remarks=_REMARKS, also={40
 
 
 PROTOCOL = ProtocolCases(
-    cases=(*control_cases.CASES.cases, *stream_cases.CASES.cases),
+    cases=(*control_cases.CASES.cases, *stream_cases.CASES.cases, *line_cases.CASES.cases),
     checklist=GIGE_CHECKLIST,
     simulator=lambda: ("basler",),
 )

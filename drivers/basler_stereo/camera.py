@@ -16,7 +16,7 @@ from drivers.basler_stereo.control_channel import (
     take_control,
 )
 from drivers.basler_stereo.errors import CommandRefused, NoCamera
-from drivers.basler_stereo.features import known_state
+from drivers.basler_stereo.features import known_state, output_line
 from drivers.basler_stereo.features.description import fetch_description, parse_description
 from drivers.basler_stereo.features.feature_map import FeatureMap, RegisterMemory
 from drivers.basler_stereo.identity import CameraIdentity, describe_cameras_near, identify
@@ -121,6 +121,8 @@ class Camera:
             self._features = FeatureMap(nodes, self._memory)
             self._memory.deadline_s = deadline_s
             known_state.apply_known_state(self._features, self._options, f"{self.side} camera")
+            if (projector := self._options.projector_at(self.side)) is not None:
+                output_line.prepare_projector(self._features, projector, f"{self.side} camera")
             self.area = known_state.full_area(self._features)
             known_state.set_area(self._features, self.area)
             self._choose_packet_size(deadline_s)
@@ -142,6 +144,12 @@ class Camera:
         self._set_deadline(deadline_s)
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
         self._exposure_us = exposure_us
+
+    def switch_projector(self, on: bool, deadline_s: float) -> None:
+        """Switch the projector on this camera's output line, if there is one; raises GEV-021."""
+        if (projector := self._options.projector_at(self.side)) is not None:
+            self._set_deadline(deadline_s)
+            output_line.switch_projector(self.features, projector, f"{self.side} camera", on=on)
 
     def read_temperature_C(self, deadline_s: float) -> float | None:
         """Read the internal temperature, or None if the camera does not report it."""
@@ -216,7 +224,10 @@ class Camera:
         return None
 
     def release(self, deadline_s: float) -> None:
-        """Stop streaming and release control; the channel stays open."""
+        """Stop streaming, switch the projector off and release control; the channel stays open."""
+        if self._features is not None:
+            with contextlib.suppress(RonnaError, OSError):  # control is released whatever the line does
+                self.switch_projector(False, deadline_s)
         if self._heartbeat is not None:
             self._heartbeat.close()
             self._heartbeat = None

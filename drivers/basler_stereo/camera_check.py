@@ -16,10 +16,15 @@ from typing import Any, NamedTuple
 
 from drivers.basler_stereo.control_channel import CameraControl
 from drivers.basler_stereo.errors import CommandRefused, MalformedReply, NoCamera, NoReply
+from drivers.basler_stereo.features import output_line
+from drivers.basler_stereo.features.description import fetch_description, parse_description
+from drivers.basler_stereo.features.feature_map import FeatureMap, RegisterMemory
 from drivers.basler_stereo.identity import CameraIdentity, identify, list_cameras
+from drivers.basler_stereo.options import ProjectorOptions
 from drivers.basler_stereo.stream.receiver import choose_packet_bytes, open_stream_socket
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
+from ronna_hw.errors import RonnaError
 from ronna_hw.host.network import Interface, find_interface, interfaces
 from ronna_hw.host.port_users import LEAVE_A_CASE_ALONE, PortUser, find_udp_port_user
 from ronna_hw.wire import gige_vision as gev
@@ -27,6 +32,8 @@ from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
 
 REPLY_LIMIT_S = 1.0  # per command, including retries
 TEST_LIMIT_S = 5.0  # for all test packets
+DESCRIPTION_LIMIT_S = 5.0  # for the camera's description, up to a megabyte
+LINE_ADVICE = "Correct `line` in [stereo.options.projector] to the output that switches the projector."
 RECEIVE_BUFFER_BYTES = 65_536  # one test packet at a time
 JUMBO_BYTES = 8000  # below this, both cameras at full rate keep a computer busy
 SECTION = "cameras"
@@ -273,3 +280,20 @@ def _other_replies(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
     if not (others := [each for each in found if each.address != camera.endpoint.host]):
         return ""
     return f" These reply: {list_cameras(others)}."
+
+
+def diagnose_output_line(endpoint: Endpoint, projector: ProjectorOptions) -> Diagnostic | None:
+    """Check that a camera has the projector's line, without control; None if it cannot be asked."""
+    try:
+        with contextlib.closing(CameraControl(endpoint.host)) as control:
+            deadline_s = time.monotonic() + DESCRIPTION_LIMIT_S
+            memory = RegisterMemory(control)
+            memory.deadline_s = deadline_s
+            features = FeatureMap(parse_description(fetch_description(control, deadline_s)), memory)
+            lines = output_line.list_lines(features)
+    except (OSError, RonnaError):
+        return None  # the camera's own diagnosis says why
+    camera = f"{projector.camera} camera"
+    missing = output_line.missing_line(lines, projector.line, camera)
+    seen = missing or f"the {camera} has line {projector.line}"
+    return Diagnostic("line projector", not missing, seen, LINE_ADVICE if missing else "")

@@ -148,6 +148,30 @@ class ReceiverEnded(DeviceError):
     )
 
 
+NO_PROJECTOR = ErrorCode(
+    "GEV-019",
+    ConfigurationError,
+    "The line projector was switched, but the theatre file names none.",
+    "Give the camera and its output line in [stereo.options.projector], or use a head with a projector.",
+)
+
+
+NO_OUTPUT_LINE = ErrorCode(
+    "GEV-020",
+    ConfigurationError,
+    "The camera has no such output line, or the line cannot have that source.",
+    "Correct line and source in [stereo.options.projector]; Basler calls the opto-isolated output Out1.",
+)
+
+
+OUTPUT_STUCK = ErrorCode(
+    "GEV-021",
+    DeviceError,
+    "The output line of the projector does not follow its setting.",
+    "Switch the projector off at its key. Check its wiring, then `inverted` in [stereo.options.projector].",
+)
+
+
 NO_PYLON = ErrorCode(
     "GEV-018",
     ConfigurationError,

@@ -22,6 +22,21 @@ LARGEST_PACKET_BYTES = 16_000  # cameras stop near 9000; a loopback link carries
 SMALLEST_PACKET_BYTES = 576  # every IPv4 path carries it
 
 
+class ProjectorOptions(Strict):
+    """Wiring of the line projector: an output line of one camera switches it."""
+
+    camera: Literal["left", "right"] = Field(default="left", description="Camera that switches it.")
+    line: Annotated[str, Field(min_length=1)] = Field(
+        default="Out1", description="Output line, by its name in `LineSelector`."
+    )
+    source: Literal["UserOutput", "ExposureActive"] = Field(
+        default="UserOutput",
+        description="Source of the line while the projector is on. UserOutput: lit until it is switched off; "
+        "ExposureActive: lit only while that camera exposes, for pairs that one pulse triggers.",
+    )
+    inverted: bool = Field(default=False, description="Whether the projector is lit while the line is low.")
+
+
 class BaslerOptions(Strict):
     """Camera pair options; without serial numbers, any two cameras are accepted."""
 
@@ -75,6 +90,9 @@ class BaslerOptions(Strict):
         default=16 * 1024 * 1024,
         description="Requested receive buffer of a stream socket; the kernel may cap it.",
     )
+    projector: ProjectorOptions | None = Field(
+        default=None, description="Line projector on the head; none: the head has none."
+    )
     load_default_user_set: bool = Field(default=True, description="Start from the camera's factory settings.")
 
     @model_validator(mode="after")
@@ -82,6 +100,10 @@ class BaslerOptions(Strict):
         if self.left_serial is not None and self.left_serial == self.right_serial:
             raise ValueError("left_serial and right_serial are equal")
         return self
+
+    def projector_at(self, side: str) -> ProjectorOptions | None:
+        """Return the projector that this camera switches, if any."""
+        return self.projector if self.projector and self.projector.camera == side else None
 
     @property
     def pixel_format_code(self) -> gev.PixelFormat:

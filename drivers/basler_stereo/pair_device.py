@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Generic, Protocol, TypeVar
 
-from drivers.basler_stereo.errors import CABLES_SWAPPED, WRONG_MODEL, WRONG_SERIAL, NoReply
+from drivers.basler_stereo.errors import CABLES_SWAPPED, NO_PROJECTOR, WRONG_MODEL, WRONG_SERIAL, NoReply
 from drivers.basler_stereo.identity import CameraIdentity, describe_cameras_near
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.arguments import WrongArgument, require_number, require_time_s, show
@@ -41,6 +41,8 @@ class PairCamera(Protocol):
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None: ...
 
+    def switch_projector(self, on: bool, deadline_s: float) -> None: ...
+
     def close(self, deadline_s: float) -> None: ...
 
 
@@ -63,6 +65,7 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
         self._exposure: tuple[float, int | None] = (options.exposure_us, options.gain_raw)
+        self._projector_on = False
         self._sequence = 0
         self._last_pair: StereoReading | None = None
         self._unusable_count = 0
@@ -82,6 +85,16 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         self._guard.require("areas", READABLE)
         left, right = self._pair
         return left.area, right.area
+
+    @property
+    def has_projector(self) -> bool:
+        """Whether the theatre file names a line projector."""
+        return self._options.projector is not None
+
+    @property
+    def projector_on(self) -> bool:
+        """Whether the line projector was last switched on and still is, as far as is known."""
+        return self._projector_on and self._guard.state in (Lifecycle.CONFIGURED, Lifecycle.ACTIVE)
 
     def observe(self) -> LastKnown[StereoReading]:
         return self._guard.last_known(self._last_pair, report_count("unusable pairs", self._unusable_count))
@@ -114,6 +127,7 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         self._turn.require("configure")
         self._guard.require("configure", {Lifecycle.CONNECTED})
         self._configure_cameras(time.monotonic() + timeout_s)
+        self._projector_on = False
         self._guard.enter(Lifecycle.CONFIGURED, areas=self.areas, notices=self.notices)
 
     def activate(self, timeout_s: float = 10.0) -> None:
@@ -131,6 +145,8 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         deadline_s = time.monotonic() + timeout_s
         facts = self._stream_facts()
         self._run_guarded(lambda: self._stop_streams(deadline_s), deadline_s)
+        if self._projector_on:
+            self._switch_projector(False, deadline_s)
         self._guard.enter(Lifecycle.CONFIGURED, **facts)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
@@ -163,6 +179,16 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         exposure_us, gain_raw = self._exposure
         self._set_exposure(share * exposure_us, gain_raw, time.monotonic() + timeout_s)
 
+    def set_projector(self, on: bool, timeout_s: float = 5.0) -> None:
+        """Switch the line projector and read its line back.
+
+        Raises GEV-019 without a projector, GEV-021 if the line does not follow.
+        """
+        self._require("set_projector", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        if not self.has_projector:
+            raise NO_PROJECTOR(f"{self._name} has no line projector")
+        self._switch_projector(on, time.monotonic() + timeout_s)
+
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """Return from FAULT to CONFIGURED: reconnect to the same cameras, restore areas and exposure.
 
@@ -181,6 +207,7 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
             )
         self._cameras, self._identities = cameras, identities
         self._configure_cameras(deadline_s)
+        self._projector_on = False
         for camera, area in zip(cameras, self._areas or (), strict=False):
             camera.set_area(area, deadline_s)
         for camera in cameras:
@@ -267,6 +294,14 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
     def _close_all(cameras: tuple[C, C]) -> None:
         for camera in cameras:
             camera.close(time.monotonic() + CLOSE_LIMIT_S)
+
+    def _switch_projector(self, on: bool, deadline_s: float) -> None:
+        def switch() -> None:
+            for camera in self._pair:
+                camera.switch_projector(on, deadline_s)
+
+        self._projector_on = on  # also if it fails: `deactivate` then tries again to switch it off
+        self._run_guarded(switch, deadline_s)
 
     def _set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
         def change() -> None:

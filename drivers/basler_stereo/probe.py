@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import permutations
+
+from pydantic import ValidationError
 
 from drivers.basler_stereo.camera_check import (
     ExpectedCamera,
     camera_diagnostic,
     check_camera,
+    diagnose_output_line,
     discovery_diagnostic,
 )
 from drivers.basler_stereo.identity import CameraIdentity, discover_cameras
-from drivers.basler_stereo.options import BaslerOptions
+from drivers.basler_stereo.options import BaslerOptions, ProjectorOptions
 from drivers.basler_stereo.pair import BaslerStereoPair
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import (
@@ -52,6 +55,7 @@ class BaslerProbe:
         diagnostics = self._diagnose_cameras(
             _read_expected_cameras(config), lambda share: progress(CAMERAS_SHARE * share)
         )
+        diagnostics = [*diagnostics, *_diagnose_projector(config)]
         advice = next((diagnostic.advice for diagnostic in diagnostics if not diagnostic.well), "")
         return (*diagnostics, *connect_and_identify(name, config, BaslerStereoPair, advice, inspect))
 
@@ -109,6 +113,17 @@ def _read_expected_cameras(config: DeviceConfig) -> list[ExpectedCamera]:
         for side, endpoint in sides.items()
         if endpoint.scheme == "gev"
     ]
+
+
+def _diagnose_projector(config: DeviceConfig) -> Iterator[Diagnostic]:
+    """Yield the finding on the projector's line, if a valid projector is named and its camera replies."""
+    try:
+        projector = ProjectorOptions.model_validate(config.options["projector"])
+        endpoint = parse_endpoint(config.endpoints[projector.camera])
+    except (KeyError, ValidationError):  # the driver itself reports invalid options
+        return
+    if (found := diagnose_output_line(endpoint, projector)) is not None:
+        yield found
 
 
 def _option_text(config: DeviceConfig, option: str) -> str | None:

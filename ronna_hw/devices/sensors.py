@@ -117,6 +117,31 @@ class StereoPair(Device, Protocol):
         """Trigger both cameras once and return the resulting pair. Allowed in ACTIVE."""
 
 
+@runtime_checkable
+class ProjectsLine(Protocol):
+    """Camera pair whose driver can switch a line projector on the head."""
+
+    @property
+    def has_projector(self) -> bool:
+        """Whether the theatre file names a projector."""
+
+    @property
+    def projector_on(self) -> bool:
+        """Whether the projector was last switched on; False once the streams stop or a fault is latched."""
+
+    def set_projector(self, on: bool, timeout_s: float = 5.0) -> None:
+        """Switch the line and read it back. Allowed in CONFIGURED and ACTIVE.
+
+        It is off after `configure`, `deactivate`, `recover` and `close`. Raises DeviceError when the output
+        does not follow, ConfigurationError without a projector.
+        """
+
+
+def line_projector(pair: object) -> ProjectsLine | None:
+    """Return a camera pair as the projector of a line, or None if its head has none."""
+    return pair if isinstance(pair, ProjectsLine) and pair.has_projector else None
+
+
 ASK_AGAIN_S = 0.005  # host time; a tracker measures every 16 ms
 
 

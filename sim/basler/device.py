@@ -9,6 +9,7 @@ from copy import deepcopy
 from ronna_hw.clock import SharedClock
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.acquisition import Acquisition
+from sim.basler.camera.output_line import exposure_level
 from sim.basler.camera.photographer import Photographer
 from sim.basler.control.bootstrap import Identity, add_bootstrap, add_message_channel
 from sim.basler.control.feature_table import add_features
@@ -24,7 +25,8 @@ from sim.basler.stream_channel import StreamChannel
 class SimulatedCamera:
     """A GigE Vision camera without a control socket; pass datagrams to `port`.
 
-    `now_s` is the host's monotonic clock, used for the heartbeat.
+    `now_s` is the host's monotonic clock, used for the heartbeat; `is_line_lit` tells whether the line laser
+    lights a frame that starts now.
     """
 
     def __init__(
@@ -36,6 +38,7 @@ class SimulatedCamera:
         *,
         faults: CameraFaults = NO_FAULTS,
         now_s: Callable[[], float] = time.monotonic,
+        is_line_lit: Callable[[], bool] = lambda: False,
     ) -> None:
         self.identity = identity
         self.settings = CameraSettings()
@@ -55,6 +58,7 @@ class SimulatedCamera:
             moments,
             EventReporter(lambda: self.settings, self.messages, ticks).report,
             faults,
+            is_line_lit,
         )
         self.registers = RegisterMap()
         add_bootstrap(
@@ -81,6 +85,16 @@ class SimulatedCamera:
         self.acquisition.close()
         self.channel.shut()
         self.messages.shut()
+
+    @property
+    def output_held_low(self) -> bool:
+        """Whether the output line does not follow its source."""
+        return self.faults.active("hold_line")
+
+    @property
+    def lights_exposure(self) -> bool:
+        """Whether the output line is high while a frame is exposed."""
+        return exposure_level(self.settings) and not self.output_held_low
 
     def load_user_set(self) -> None:
         """Load the selected user set, or the power-on values if it was never saved."""

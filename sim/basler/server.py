@@ -51,7 +51,7 @@ class CameraPair:
         sources = (Photographer(world, truths[0], seen[0]), self._apart)
         sockets = bind_pair(addresses)
         moments = TriggerMoments(world.clock)
-        self._cameras = []
+        self._cameras: list[SimulatedCamera] = []
         for side, truth, source, control in zip(SIDES, truths, sources, sockets, strict=True):
             faults = CameraFaults(world, truth, side)
             self._cameras.append(
@@ -61,6 +61,7 @@ class CameraPair:
                     world.clock,
                     moments,
                     faults=faults,
+                    is_line_lit=lambda: self._cameras[0].lights_exposure,  # wired to the left camera
                 )
             )
         self._server = ControlServer(self._cameras, sockets, bind_broadcast(), _report)

@@ -69,6 +69,22 @@ class TriggerSource(IntEnum):
     ACTION_1 = 2
 
 
+class Line(IntEnum):
+    """Entries of LineSelector: the opto-isolated input and output of this camera family."""
+
+    LINE_1 = 0
+    OUT_1 = 1
+
+
+class LineSource(IntEnum):
+    """Entries of LineSource for the output. Timers are not simulated."""
+
+    EXPOSURE_ACTIVE = 0
+    FRAME_TRIGGER_WAIT = 1
+    ACQUISITION_TRIGGER_WAIT = 2
+    USER_OUTPUT = 3
+
+
 class RampImage(IntEnum):
     """Entries of TestImageSelector: none, a fixed ramp, a ramp that moves with every frame."""
 
@@ -98,7 +114,10 @@ class TriggerSettings:
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """Settings that apply to a single frame."""
+    """Settings that apply to a single frame.
+
+    `line_lit` says whether the left camera's output line lights the projector during its exposure.
+    """
 
     area: Area
     pixel_format: PixelFormat
@@ -106,6 +125,7 @@ class FrameSettings:
     gain_raw: int
     black_level_raw: int
     test_image: RampImage
+    line_lit: bool = False
 
     @property
     def payload_bytes(self) -> int:
@@ -135,6 +155,11 @@ class CameraSettings:
         default_factory=lambda: (TriggerSettings(), TriggerSettings())
     )
     status_selector: int = 0
+    line_selector: int = Line.LINE_1
+    lines_inverted: tuple[int, int] = (0, 0)  # by line
+    line_source: int = LineSource.USER_OUTPUT
+    user_output_selector: int = 1
+    user_output_value: int = 0
     action_device_key: int = 0
     action_selector: int = 1
     action_group_key: int = 0

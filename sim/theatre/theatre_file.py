@@ -51,6 +51,7 @@ LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would no
 # Clamp and ball of the assistant's holder on its flange, as a laboratory measures them, per axis.
 HOLDER_MM, HOLDER_RAD = 0.02, 2e-4
 NO_RECORDS: Mapping[str, Any] = {}
+PROJECTOR = {"camera": "left", "line": "Out1", "source": "UserOutput"}  # wired to the left camera
 BANNER = "SIMULATED THEATRE"
 FLANGE = "changer of the simulated arm"
 
@@ -94,7 +95,11 @@ def theatre_content(
         "stereo": {
             "driver": "basler_stereo",
             "endpoints": endpoints["basler"],
-            "options": {"left_serial": scene.left.serial, "right_serial": scene.right.serial},
+            "options": {
+                "left_serial": scene.left.serial,
+                "right_serial": scene.right.serial,
+                **({} if scene.projector is None else {"projector": PROJECTOR}),
+            },
         },
         "calibration": _make_calibrations(scene, made, tuple(parameters)) | dict(records),
         "flange": FLANGE,

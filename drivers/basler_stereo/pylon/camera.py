@@ -19,12 +19,13 @@ from drivers.basler_stereo.errors import (
     ControlTaken,
     NoCamera,
 )
-from drivers.basler_stereo.features import known_state
+from drivers.basler_stereo.features import known_state, output_line
 from drivers.basler_stereo.features.description import Number
 from drivers.basler_stereo.features.feature_map import Limits
 from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.devices.readings import AreaOfInterest
+from ronna_hw.errors import RonnaError
 
 CONTROLLED_TEXT = "controlled by another application"  # in the library's message
 EMULATED = "BaslerCamEmu"  # device class of the cameras that the library itself emulates
@@ -117,6 +118,8 @@ class PylonCamera:
             ) from error
         features = self.features
         known_state.apply_known_state(features, self._options, f"{self.side} camera")
+        if (projector := self._options.projector_at(self.side)) is not None:
+            output_line.prepare_projector(features, projector, f"{self.side} camera")
         self.area = known_state.full_area(features)
         known_state.set_area(features, self.area)
         if features.has("GevTimestampTickFrequency"):
@@ -135,6 +138,11 @@ class PylonCamera:
     def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
         """Set exposure and gain (None: the minimum), also while streaming; raises GEV-011."""
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
+
+    def switch_projector(self, on: bool, deadline_s: float) -> None:
+        """Switch the projector on this camera's output line, if there is one; raises GEV-021."""
+        if (projector := self._options.projector_at(self.side)) is not None:
+            output_line.switch_projector(self.features, projector, f"{self.side} camera", on=on)
 
     def start(self) -> None:
         """Start the acquisition."""
@@ -174,8 +182,10 @@ class PylonCamera:
             result.Release()  # returns the buffer to the library
 
     def close(self, deadline_s: float) -> None:
-        """Release control and close; never raises."""
+        """Switch the projector off, release control and close; never raises."""
         if self._camera is not None:
+            with contextlib.suppress(RonnaError, self._genicam.GenericException):
+                self.switch_projector(False, deadline_s)
             with contextlib.suppress(self._genicam.GenericException):
                 self._camera.Close()
             with contextlib.suppress(self._genicam.GenericException):
@@ -206,6 +216,10 @@ class PylonFeatures:
     def entries(self, name: str) -> tuple[str, ...]:
         """Return the available entry names of an enumeration."""
         return tuple(self._find_node(name).Symbolics)
+
+    def choice(self, name: str) -> str:
+        """Read an enumeration and return its entry name."""
+        return str(self._find_node(name).GetValue())
 
     def limits(self, name: str) -> Limits:
         """Return a feature's current limits."""

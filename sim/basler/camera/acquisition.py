@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ronna_hw.clock import SharedClock
 from sim.basler.camera.photographer import Photographer
@@ -46,7 +46,8 @@ class Acquisition:
     """Takes frames on its own thread and passes them to the stream channel.
 
     `moments` is shared by the cameras of a pair; `report` is called for every event: kind, block id (0
-    without a frame), theatre time in ns. All public methods may be called from any thread.
+    without a frame), theatre time in ns. `is_line_lit` tells at a frame's start whether the line laser lights
+    its exposure. All public methods may be called from any thread.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Acquisition:
         moments: TriggerMoments,
         report: Callable[[EventKind, int, int], None],
         faults: CameraFaults = NO_FAULTS,
+        is_line_lit: Callable[[], bool] = lambda: False,
     ) -> None:
         self._name = name
         self._settings = settings
@@ -70,6 +72,7 @@ class Acquisition:
         self._moments = moments
         self._report = report
         self._faults = faults
+        self._is_line_lit = is_line_lit
         self._changed = threading.Condition()
         self._waiting: deque[_Exposure] = deque()
         self._acquisition = 0
@@ -81,6 +84,7 @@ class Acquisition:
         self._ready_ns = 0
         self._free_due_ns = 0
         self._missed_triggers = 0
+        self._exposed_ns = (0, 0)  # begin and end of the last exposure
         self._thread = threading.Thread(target=self._work, name=f"{name} acquisition", daemon=True)
 
     def open(self) -> None:
@@ -113,6 +117,17 @@ class Acquisition:
                 and self._permitted != 0
                 and not self._is_busy()
             )
+
+    @property
+    def awaits_permission(self) -> bool:
+        """Whether an AcquisitionStart trigger would be accepted now."""
+        return self._running and self._permitted == 0
+
+    @property
+    def is_exposing(self) -> bool:
+        """Whether a frame is being exposed now."""
+        begin_ns, end_ns = self._exposed_ns
+        return begin_ns <= self._clock.now_ns() < end_ns
 
     def start(self) -> None:
         """Execute AcquisitionStart; no effect while running."""
@@ -187,7 +202,8 @@ class Acquisition:
 
     def _schedule_exposure(self, settings: CameraSettings, start_ns: int, number: int) -> _Exposure:
         """Schedule a frame and count it against the frame limit of the acquisition or its trigger."""
-        frame = settings.frame()
+        frame = replace(settings.frame(), line_lit=self._is_line_lit())
+        self._exposed_ns = (start_ns, start_ns + frame.exposure_us * 1000)
         self._ready_ns = start_ns + round(shortest_period_us(frame) * 1e3)
         if self._permitted is not None:
             self._permitted -= 1

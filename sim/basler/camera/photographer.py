@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 import time
+import zlib
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
@@ -67,7 +68,8 @@ class Photographer:
         with self._drawing:
             disturbance = self._disturbances.now()
             spheres = self._view.spheres(pose, disturbance.twist_rad, disturbance.room)
-            light = self._optics.light_on(frame.area, spheres, disturbance)
+            line = self._view.line(frame.area, pose, disturbance) if frame.line_lit else ()
+            light = self._optics.light_on(frame.area, spheres, disturbance, line, _moment(pose))
         light = self._faults.disturb(light, frame.area.x, frame.area.y)
         pixels = self._sensor.read(
             light,
@@ -85,6 +87,11 @@ class Photographer:
         places = (None if pose is None else pose.tobytes(), *(one.tobytes() for one in flanges))
         in_view = (self._view.head_mounted, self._view.stand_has_ball)
         return (frame, places, in_view, self._disturbances.now(), self._faults.light_faults()), pose
+
+
+def _moment(pose: Pose | None) -> int:
+    """Return a number that changes with the head's place, by which speckle is drawn."""
+    return 0 if pose is None else zlib.crc32(pose.tobytes())
 
 
 class PhotographerApart(Photographer):

@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.wire.room_tasks import OnStand
+from sim.basler.camera.line_view import LineView
+from sim.basler.optics.canvas import Area
 from sim.basler.optics.film import draw_stains
+from sim.basler.optics.laser_line import LineRun
 from sim.basler.optics.picture import CLEAR, Glare, Occluder, PictureDisturbance
 from sim.basler.optics.sphere import DrawnSphere
 from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, spheres_in_theatre
@@ -49,6 +52,7 @@ class View:
         self._stand_mm = np.array(world.scene.stand.ball_mm)
         self._stand_number = 1 + max((each.number for each in self._fiducials), default=0)
         self._room = ShiftedRoom(world)
+        self._line = LineView(world.scene, camera)
 
     def pose(self) -> Pose | None:
         """Return the true head pose (4, 4) in the robot frame, or None before an arm has published it."""
@@ -104,6 +108,22 @@ class View:
             seen.append(DrawnSphere(centre, holder.ball_radius_mm, along, number))
         return tuple(one for one in seen if 0.0 < one.centre_mm[2] < FURTHEST_MM)
 
+    def line(
+        self, area: Area, robot_from_tool: Pose | None, disturbance: PictureDisturbance
+    ) -> tuple[LineRun, ...]:
+        """Return the lit projector's line in an area of the picture, for a pose returned by `pose`."""
+        if not self.head_mounted or disturbance.line_dark:
+            return ()
+        twist_rad, room = disturbance.twist_rad, disturbance.room
+        return self._line.runs(
+            area,
+            robot_from_tool,
+            self._twist_pose(twist_rad),
+            self.spheres(robot_from_tool, twist_rad, room),
+            room,
+            disturbance.hand_mm,
+        )
+
     def _twist_pose(self, angle_rad: float) -> Pose:
         across = self._camera_from_tool[:3, 0]  # the tool's x axis in the camera's frame
         turn = matrix_from((0.0, 0.0, 0.0), rotation_from_vector(angle_rad * across))
@@ -157,6 +177,9 @@ class ViewDisturbances:
             twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._own_faults("twist"))
             + sum(self._drift_rad(fault) for fault in self._own_faults("creep")),
             room=room,
+            lamp_share=sum(float(fault.argument) for fault in self._board.active("lamp")) * PERCENT,
+            hand_mm=min((float(fault.argument) for fault in self._board.active("hand")), default=None),
+            line_dark=bool(self._board.active("no_laser")),
         )
 
     def _own_faults(self, kind: str) -> list[Fault]:

@@ -1,7 +1,7 @@
 """Register table of all features in address order: value, minimum, maximum and increment.
 
 Names are those of the camera family (SFNC 1.x). Features of transport, actions, user sets and events are
-defined here, those of frames in `capture_features`.
+defined here, those of frames in `capture_features`, those of lines in `output_line`.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from sim.basler.camera.features import (
     resolve_limit,
     setting,
 )
+from sim.basler.camera.output_line import LINE_FEATURES
 from sim.basler.control.registers import RegisterMap, RegisterRefusal, RegisterWord
 from sim.basler.settings import EventKind, UserSet
 from sim.basler.stream_channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMALLEST_PACKET_SIZE
@@ -139,6 +140,7 @@ FEATURES: tuple[Feature, ...] = (
     *ACTION_FEATURES,
     *USER_SET_FEATURES,
     *EVENT_FEATURES,
+    *LINE_FEATURES,
 )
 
 

@@ -20,6 +20,7 @@ from sim.world.scene.model import CameraTruth
 F_NUMBER = 8.0  # macro work: stopped down for depth of field
 # Diffraction at f/8, magnification 0.25 and 850 nm (0.42 * wavelength * effective f-number), in pixels.
 SHARPEST_SIGMA_PX = 0.42 * 0.85 * F_NUMBER * 1.25 / PIXEL_PITCH_UM
+EFFECTIVE_F_NUMBER = 1.25 * F_NUMBER  # at magnification 0.25
 LARGEST_SIGMA_PX = 12.0  # a sphere farther out of focus is drawn with this blur
 DISC_TO_SIGMA = 0.25  # a uniform disc of diameter D has a standard deviation of D / 4 along one axis
 UNDISTORT_STEPS = 8  # each step gains about three digits with the distortion of these lenses
@@ -72,9 +73,19 @@ class Lens:
 
     def blur_sigma_px(self, depth_mm: float) -> float:
         """Return the standard deviation of the blur at a depth (thin lens, uniform disc)."""
-        aperture_px = (self.focal_px[0] / (1.0 + self.magnification)) / F_NUMBER
-        disc_px = aperture_px * self.magnification * abs(depth_mm - self.focus_mm) / depth_mm
+        disc_px = self._disc_px_per_mm * abs(depth_mm - self.focus_mm) / depth_mm
         return min(float(np.hypot(SHARPEST_SIGMA_PX, DISC_TO_SIGMA * disc_px)), LARGEST_SIGMA_PX)
+
+    def blur_sigmas_px(self, depths_mm: Array) -> Array:
+        """Return the standard deviations (n,) of the blur at depths (n,)."""
+        disc_px = self._disc_px_per_mm * np.abs(depths_mm - self.focus_mm) / depths_mm
+        return np.asarray(np.minimum(np.hypot(SHARPEST_SIGMA_PX, DISC_TO_SIGMA * disc_px), LARGEST_SIGMA_PX))
+
+    @property
+    def _disc_px_per_mm(self) -> float:
+        """Diameter of the disc of confusion, by the depth out of focus relative to the depth."""
+        aperture_px = (self.focal_px[0] / (1.0 + self.magnification)) / F_NUMBER
+        return aperture_px * self.magnification
 
     @property
     def magnification(self) -> float:

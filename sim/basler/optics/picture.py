@@ -22,12 +22,16 @@ from sim.basler.optics.canvas import (
     spread_px,
 )
 from sim.basler.optics.film import Film, Grain, Stain
+from sim.basler.optics.laser_light import add_core, add_glow, project_runs
+from sim.basler.optics.laser_line import LineRun
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US, Lighting
+from sim.basler.optics.speckle import Speckle
 from sim.basler.optics.sphere import BodyImage, DrawnSphere, draw_sphere, draw_stalk, stalk_outline_mm
 from sim.world.displacements import NOTHING_MOVED, RoomShift
 from sim.world.rigid import Array
 from sim.world.scene.model import CameraTruth
 
+FILM_TO_BACKGROUND = FILM_ELECTRONS_PER_US / BACKGROUND_ELECTRONS_PER_US
 GLARE_ELECTRONS_PER_US = 4 * FILM_ELECTRONS_PER_US  # saturates at usual exposures
 GLARE_SOFTNESS = 0.04  # standard deviation of its edge, relative to its radius
 EDGE_SIGMAS = 4.0  # standard deviations beyond which an edge is invisible
@@ -66,6 +70,9 @@ class PictureDisturbance:
     glares: tuple[Glare, ...] = ()
     twist_rad: float = 0.0  # rotation of the camera in its mount, out of the plane of both cameras
     room: RoomShift = NOTHING_MOVED  # displacement of the spheres
+    lamp_share: float = 0.0  # light of a room lamp on the skin, relative to that of film
+    hand_mm: float | None = None  # height of a hand in the projector's line over the skin
+    line_dark: bool = False  # the projector gives no light although it is switched on
 
     def stains_of(self, number: int) -> tuple[Stain, ...]:
         """Return the stains of a sphere."""
@@ -81,15 +88,27 @@ class LensOptics:
     def __init__(self, camera: CameraTruth, seed: int) -> None:
         self.lens = Lens.from_camera(camera)
         self._lighting = Lighting(seed, camera.serial, camera.sensor_px)
-        self._seed = seed
+        self._seed, self._serial = seed, camera.serial
         self._grains: dict[int, Grain] = {}
 
     def light_on(
-        self, area: Area, spheres: Sequence[DrawnSphere], disturbance: PictureDisturbance = CLEAR
+        self,
+        area: Area,
+        spheres: Sequence[DrawnSphere],
+        disturbance: PictureDisturbance = CLEAR,
+        line: Sequence[LineRun] = (),
+        moment: int = 0,
     ) -> Image:
-        """Return the light on an area of the sensor, (height, width) in electrons per microsecond."""
+        """Return the light on an area of the sensor, (height, width) in electrons per microsecond.
+
+        `line` are the runs of the projected line, `moment` a number of the place of head and camera.
+        """
         around = area.expand(MARGIN_PX) if spheres else area
         canvas = PixelCanvas(around, self._lighting.on_background(around))
+        if disturbance.lamp_share:
+            canvas.light[:] *= 1.0 + disturbance.lamp_share * FILM_TO_BACKGROUND
+        drawn_line = project_runs(line, self.lens, area)
+        add_glow(canvas, drawn_line)
         for sphere in sorted(spheres, key=lambda each: -each.distance_mm):
             self._draw(canvas, sphere, disturbance)
         aimed_at = nearest_to_axis([each for each in spheres if _is_drawable(each)])
@@ -97,6 +116,8 @@ class LensOptics:
             sigma_px = self.lens.blur_sigma_px(float(aimed_at.centre_mm[2]))
             for occluder in disturbance.occluders:
                 occlude(canvas, occluder, aimed_at, self.lens, sigma_px)
+        if drawn_line:  # in front of all that is drawn so far, as its runs are what the camera sees
+            add_core(canvas, drawn_line, Speckle(self._seed, self._serial, moment))
         for glare in disturbance.glares:
             add_glare(canvas, glare)
         return canvas.part(area)

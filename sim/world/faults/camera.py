@@ -15,6 +15,7 @@ from sim.world.scene.model import Scene
 
 BOTH = "both"
 SMALLEST_PATH_BYTES = 68  # least packet size that a network must carry
+BRIGHTEST_LAMP_PERCENT = 1000.0  # saturates at any exposure in use
 MOST_STAINED_PERCENT = 60.0  # spots overlap: more would take long and look alike
 
 SIGHT = FaultKinds("camera")
@@ -84,6 +85,21 @@ STREAM_FAULTS = (
         "path", "narrow path NAME INT bytes", "The network drops larger stream packets.", _check_path
     ),
 )
+OUTPUT_FAULTS = (
+    SIGHT.declare_lasting(
+        "lamp",
+        "lamp NUMBER %",
+        "A lamp lights the skin with that share of the light that a sphere returns.",
+        check_at_most(BRIGHTEST_LAMP_PERCENT, "%"),
+    ),
+    SIGHT.declare_lasting(
+        "hand", "hand NUMBER mm", "A hand is in the projector's line, its middle that far over the skin."
+    ),
+    declare_lasting("hold_line", "hold line NAME", "The output line stays low, whatever its source."),
+    SIGHT.declare_lasting(
+        "no_laser", "projector dark", "The line projector stays dark although its line is high."
+    ),
+)
 CONTROL_FAULTS = (
     declare_lasting("unplug", "unplug NAME", "No packets reach or leave the camera."),
     declare_lasting(
@@ -129,4 +145,11 @@ LENS_FAULTS = (
         "That many dark spots on the sensor, at the same places in every image.",
     ),
 )
-CAMERA_FAULTS = (*SIGHT_FAULTS, *STREAM_FAULTS, *CONTROL_FAULTS, *TRIGGER_FAULTS, *LENS_FAULTS)
+CAMERA_FAULTS = (
+    *SIGHT_FAULTS,
+    *STREAM_FAULTS,
+    *CONTROL_FAULTS,
+    *OUTPUT_FAULTS,
+    *TRIGGER_FAULTS,
+    *LENS_FAULTS,
+)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ronna_hw.calibration import PoseRecord
+from sim.world.noise import noise
 from sim.world.rigid import (
     Point,
     as_point,
@@ -25,6 +26,7 @@ from sim.world.rigid import (
     rotation_towards,
 )
 from sim.world.scene.arm_design import KR6, ArmDesign
+from sim.world.scene.line_projector import LineProjector
 from sim.world.scene.model import ArmTruth, CameraTruth, LinkError, Mount
 
 TOOL_IN_FLANGE_MM = (220.0, 0.0, 60.0)
@@ -39,6 +41,8 @@ CAMERAS_IN_TOOL_MM = tuple(
     (0.0, side * WORKING_DISTANCE_MM * sin(HALF_ANGLE_RAD), -WORKING_DISTANCE_MM * cos(HALF_ANGLE_RAD))
     for side in (-1.0, 1.0)
 )
+
+PROJECTOR_BEHIND_CAMERAS_MM = 10.0
 
 BUILD_TRANSLATION_MM = 0.3
 BUILD_ROTATION_RAD = radians(0.1)
@@ -102,6 +106,15 @@ def draw_cameras(generator: np.random.Generator) -> tuple[CameraTruth, CameraTru
     left = _draw_camera(generator, SERIALS[0], side=-1.0)
     right = _draw_camera(generator, SERIALS[1], side=1.0)
     return left, right
+
+
+def draw_projector(seed: int) -> LineProjector:
+    """Draw the line projector as built, with noise of its own: the rest of a scene stays as it is."""
+    generator = noise(seed, "line projector", 0)
+    height_mm = CAMERAS_IN_TOOL_MM[0][2] - PROJECTOR_BEHIND_CAMERAS_MM
+    place = generator.normal((0.0, 0.0, height_mm), BUILD_TRANSLATION_MM)
+    turn = rotation_from_vector(generator.normal(0.0, BUILD_ROTATION_RAD, 3))
+    return LineProjector(tool_from_projector=pose_of(matrix_from(place, turn)))
 
 
 def _draw_camera(generator: np.random.Generator, serial: str, side: float) -> CameraTruth:

@@ -29,6 +29,7 @@ from sim.world.head_surface.bare_bone import BareBone
 from sim.world.head_surface.face import Face
 from sim.world.head_surface.skin_shift import SkinShift
 from sim.world.options import ArmRole
+from sim.world.scene.line_projector import LineProjector
 from sim.world.scene.parts import (
     ASSISTANT_FRAME_PART_NUMBER,
     Facing,
@@ -502,6 +503,10 @@ class Scene(Strict):
         default=None, description="The second arm; without it, there is one."
     )
     tracker: TrackerTruth = Field(description="The true tracker and what it sees.")
+    projector: LineProjector | None = Field(
+        default=None,
+        description="Line projector on the stereo head, switched by the left camera's output line.",
+    )
     left: CameraTruth = Field(description="The left camera.")
     right: CameraTruth = Field(description="The right camera.")
     stand: Stand = Field(default=Stand(), description="The calibration stand.")

@@ -24,7 +24,7 @@ from sim.world.noise import noise
 from sim.world.options import Carrier
 from sim.world.rigid import Point, apply, as_point, matrix_from, matrix_of, pose_of, rotation_towards
 from sim.world.scene.arm_design import CHOSEN
-from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount
+from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount, draw_projector
 from sim.world.scene.head import draw_head
 from sim.world.scene.model import CtProtocol, Scene, Stand, TrackerTool, TrackerTruth
 from sim.world.scene.parts import (
@@ -73,7 +73,7 @@ def draw_scene(
 
     The default scene has 5 markers and 3 targets, the mini scene 3 and 1. The x-shaped frame has four markers
     and is a tool of the tracker. With the skin as fiducial the head has a face, a skin that moved, no markers
-    or 1 to 3 (`mixed`; 2 by default), and the patient's frame on its clamp.
+    or 1 to 3 (`mixed`; 2 by default), the patient's frame on its clamp, and the stereo head a line projector.
     """
     if name not in SCENES:
         raise BAD_SCENE(
@@ -123,6 +123,7 @@ def draw_scene(
             0 if mini else USUAL_REFLECTIONS,
             (robot_frame(), *((frame_on_head(),) if x_frame else ()), frame_on_guide()),
         ),
+        projector=draw_projector(seed) if on_skin else None,
         left=left,
         right=right,
         stand=_draw_stand(seed, design.head_mm),

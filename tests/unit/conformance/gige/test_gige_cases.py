@@ -14,12 +14,17 @@ from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 from sim.basler.control.bootstrap import XML_ADDRESS
 from sim.basler.control.feature_table import address_of
 from sim.basler.control.port import Actions
+from sim.basler.device import SimulatedCamera
 
 FRAME_LIMIT_S = 0.5  # for an image that a spoilt camera never sends
 GOOD_FRAME_LIMIT_S = 30.0
 GOOD_SILENCE_S = 0.05  # a good camera is silent when it should be, however short the look
 # Seconds of heartbeats and exposures; on a clock of their own in tests/unit/sim_basler.
-WAITING = {"G14", "G15", "G33"}
+WAITING = {"G14", "G15", "G33", "G42"}
+
+
+def _level_not_inverted(camera: SimulatedCamera) -> int:
+    return camera.settings.user_output_value
 
 
 @pytest.fixture
@@ -126,6 +131,8 @@ MISTAKES: dict[str, tuple[str, Mistake]] = {
     ),
     "always 50 images per second": ("G37", spoil.always_fifty),
     "no stop": ("G38", spoil.member("acquisition.stop", lambda *_: spoil.does_nothing)),
+    "the inverter does nothing": ("G41", spoil.register(address_of("LineStatus"), _level_not_inverted)),
+    "a line that is always low": ("G42", spoil.register(address_of("LineStatus"), lambda _: 0)),
     "user sets load nothing": ("G39", spoil.member("load_user_set", lambda *_: spoil.does_nothing)),
 }
 
