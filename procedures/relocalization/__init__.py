@@ -1,5 +1,6 @@
 """Numerics for fine sphere localization with the stereo head: images, triangulation, servoing."""
 
+from procedures.relocalization.grey_image import AreaImage
 from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.relocalization.servo import (
     ServoSettings,
@@ -9,7 +10,6 @@ from procedures.relocalization.servo import (
     search_pose,
 )
 from procedures.relocalization.sphere_measurement import (
-    AreaImage,
     SphereSighting,
     locate_sphere,
     measure_sphere,

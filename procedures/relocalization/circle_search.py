@@ -2,13 +2,11 @@
 
 Three edge points define a circle; it counts only if the gradients at the points face its centre, as at the
 rim of a bright disc. This rules out straight occluders, stains and posts. The random choice has a fixed seed,
-so the same image always yields the same circles. No other module of this room calls OpenCV.
+so the same image always yields the same circles.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -16,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.relocalization.ellipse import circumcentre_offsets
+from procedures.relocalization.grey_image import GreyImage, single_threaded
 from ronna_hw.arrays import Array, Mask
-
-GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
 
 SMOOTHING_PX = 1.0  # Gaussian on the reduced image, against grain
 GREY_LEVELS = 255.0
@@ -91,25 +88,9 @@ class EdgePoints:
     direction: Array
 
 
-def halve_image(image: GreyImage, times: int) -> GreyImage:
-    """Average 2 x 2 pixels, `times` times, dropping rows and columns that do not fill a block.
-
-    With f = 2 ** times, pixel u of the result is centred at `f * (u + 0.5) - 0.5` of the image. Halving
-    repeatedly takes a tenth of the time of a single step, and rounding stays below one grey level.
-    """
-    factor = 2**times
-    height, width = (side // factor * factor for side in image.shape)
-    reduced: GreyImage = np.ascontiguousarray(image[:height, :width])  # type: ignore[assignment]  # NumPy widens the dtype
-    with _single_threaded():
-        for _ in range(times):
-            height, width = height // 2, width // 2
-            reduced = cv2.resize(reduced, (width, height), interpolation=cv2.INTER_AREA)
-    return reduced
-
-
 def equalize_contrast(image: GreyImage) -> GreyImage:
     """Enhance the contrast locally: adaptive histogram equalization with a limited gain."""
-    with _single_threaded():
+    with single_threaded():
         enhanced: GreyImage = cv2.createCLAHE(CONTRAST_LIMIT, CONTRAST_TILES).apply(image)
     return enhanced
 
@@ -118,7 +99,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
     """Find thin edges after stretching the grey values from dark..bright to 0..255."""
     gain = GREY_LEVELS / max(bright - dark, 1.0)
     stretched = np.clip((image.astype(np.float32) - dark) * gain, 0.0, GREY_LEVELS).astype(np.uint8)
-    with _single_threaded():
+    with single_threaded():
         smooth = cv2.GaussianBlur(stretched, (0, 0), SMOOTHING_PX)
         slope_x = cv2.Sobel(smooth, cv2.CV_16S, 1, 0)
         slope_y = cv2.Sobel(smooth, cv2.CV_16S, 0, 1)
@@ -130,17 +111,6 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
     gradient = np.stack([slope_x[rows, columns], slope_y[rows, columns]], axis=1).astype(float)
     length = np.maximum(np.hypot(gradient[:, 0], gradient[:, 1]), 1.0)
     return EdgePoints(position.astype(float), gradient / length[:, None])
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Limit OpenCV to one thread: on small images its busy-waiting workers cost more than they save."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
 
 
 def _edge_threshold(slope_x: NDArray[np.int16], slope_y: NDArray[np.int16]) -> float:

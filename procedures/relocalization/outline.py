@@ -17,8 +17,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from procedures.relocalization.centre_covariance import RimLight, centre_covariance, clipped_shift_px
-from procedures.relocalization.circle_search import Circle, GreyImage
+from procedures.relocalization.circle_search import Circle
 from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle_as_ellipse, fit_ellipse
+from procedures.relocalization.grey_image import GreyImage
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import median
 

@@ -17,20 +17,24 @@ import numpy as np
 
 from procedures.relocalization.circle_search import (
     Circle,
-    GreyImage,
     equalize_contrast,
     find_circles,
     find_edges,
-    halve_image,
 )
 from procedures.relocalization.errors import (
     BAD_MEASUREMENT,
-    BadImage,
     NoContrast,
     NoSphere,
     RaysDoNotMeet,
     Saturated,
     WrongSize,
+)
+from procedures.relocalization.grey_image import (
+    AreaImage,
+    GreyImage,
+    halve_image,
+    highest_grey,
+    validate_image,
 )
 from procedures.relocalization.outline import SphereImage, SphereStatus, fit_outline
 from procedures.relocalization.triangulation import (
@@ -45,8 +49,6 @@ from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.errors import DataError
 
 REDUCED_PIXELS = 150_000  # at most, of the image in which circles are sought: a quarter of the sensor's sides
-SMALLEST_SIDE_PX = 48
-TWELVE_BIT_LIMIT = 4095
 SMALLEST_RADIUS_PX = 8.0  # px of the reduced image: with less, the rim has too few pixels to judge
 DARK_PERCENTILE = 2.0
 BRIGHT_PERCENTILE = 99.8
@@ -100,7 +102,7 @@ def _iterate_spheres(
     image: GreyImage, radius_range_px: tuple[float, float] | None, *, enhance_contrast: bool = False
 ) -> Iterator[SphereImage | None]:
     """Yield a measurement of each round shape, lazily, or None for shapes that are not discs."""
-    grey = _validate_image(image)
+    grey = validate_image(image)
     if enhance_contrast:
         grey = equalize_contrast(grey)
     if radius_range_px is not None and np.shape(radius_range_px) != (2,):
@@ -120,7 +122,7 @@ def _iterate_spheres(
     halvings = max(0, math.ceil(0.5 * math.log2(grey.size / REDUCED_PIXELS)))
     factor, reduced = 2**halvings, halve_image(grey, halvings)
     dark, bright = np.percentile(reduced[::2, ::2], (DARK_PERCENTILE, BRIGHT_PERCENTILE)).tolist()
-    full_range = 255.0 if grey.dtype == np.uint8 else float(TWELVE_BIT_LIMIT)
+    full_range = float(highest_grey(grey))
     if bright - dark < CONTRAST_FLOOR * full_range:
         _refuse_uniform(dark, bright, full_range)
     low, high = radius_range_px or (SMALLEST_RADIUS_PX * factor, 0.75 * max(grey.shape))
@@ -147,35 +149,9 @@ def _visible_px(sphere: SphereImage) -> float:
     return sphere.rim_fraction * sphere.axes_px[0]
 
 
-def _validate_image(image: object) -> GreyImage:
-    if not isinstance(image, np.ndarray):
-        raise BadImage("the image is not an array", got=type(image).__name__)
-    native = image.dtype.newbyteorder("=")
-    if image.ndim != 2 or native not in (np.dtype(np.uint8), np.dtype(np.uint16)):
-        raise BadImage("the image is not a greyscale image", got=f"{image.ndim}-D {image.dtype}")
-    if min(image.shape) < SMALLEST_SIDE_PX:
-        raise BadImage("the image is too small", limit=f"{SMALLEST_SIDE_PX} px", got=str(image.shape))
-    if native == np.uint16 and int(image.max()) > TWELVE_BIT_LIMIT:
-        raise BadImage(
-            "the image has values of more than 12 bits",
-            limit=f"a grey value of {TWELVE_BIT_LIMIT}",
-            got=str(image.max()),
-        )
-    return image.astype(native, copy=False)  # OpenCV accepts only the byte order of this machine
-
-
 def _enlarge_circle(guess: Circle, factor: int) -> Circle:
     x, y = (factor * (value + 0.5) - 0.5 for value in guess.centre_px)
     return Circle((x, y), factor * guess.radius_px, guess.coverage)
-
-
-@dataclass(frozen=True)
-class AreaImage:
-    """An image and the position of its top-left pixel on the sensor."""
-
-    pixels: GreyImage
-    offset_x_px: int = 0
-    offset_y_px: int = 0
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.relocalization import errors
+from procedures.relocalization.grey_image import AreaImage
 from procedures.relocalization.outline import SphereImage, SphereStatus
-from procedures.relocalization.sphere_measurement import AreaImage, locate_sphere, sphere_radius_px
+from procedures.relocalization.sphere_measurement import locate_sphere, sphere_radius_px
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM, StereoPoint, camera_model
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.clock import Clock

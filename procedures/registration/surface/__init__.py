@@ -1,0 +1,1 @@
+"""Registration on a surface that was scanned, without markers."""
