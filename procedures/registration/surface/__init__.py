@@ -1,1 +1,1 @@
-"""Registration on a surface that was scanned, without markers."""
+"""Registration of a scanned surface to that in the CT, with what it says about its own error."""

@@ -1,8 +1,95 @@
-"""Errors in scans of a surface and their registration, SRF-020 to SRF-021."""
+"""Errors in the registration of surfaces, SRF-001 to SRF-021."""
 
 from __future__ import annotations
 
-from ronna_hw.errors import DataError, ErrorCode
+from ronna_hw.errors import DataError, ErrorCode, RefusedError
+
+BAD_SURFACE_INPUT = ErrorCode(
+    "SRF-001",
+    DataError,
+    "A target, a start or a source of error of a surface registration is not finite or has the wrong shape.",
+    "Give finite places in mm as an (n, 3) array, and sources with one row for each look or each point.",
+)
+
+
+LITTLE_COVERAGE = ErrorCode(
+    "SRF-002",
+    RefusedError,
+    "The scan shows too little of the head for a registration.",
+    "Scan more of the head: face, both temples and ears; complete the scan rather than repeat it.",
+)
+
+
+POORLY_DETERMINED = ErrorCode(
+    "SRF-003",
+    RefusedError,
+    "The scan does not determine a target as well as the case requires.",
+    "Scan the parts that the planner names, or add one to three screws.",
+)
+
+
+TWO_POSES = ErrorCode(
+    "SRF-004",
+    RefusedError,
+    "The scan fits the head in more than one pose.",
+    "Scan parts that differ from each other (nose, brows, ears), or give three landmarks as the start.",
+)
+
+
+OTHER_HEAD = ErrorCode(
+    "SRF-005",
+    RefusedError,
+    "The scanned surface does not have the shape of the head in the CT.",
+    "Check that this is the CT of the patient on the table; clear the skin of drapes and hair, and scan again.",
+)
+
+
+MIRRORED_HEAD = ErrorCode(
+    "SRF-006",
+    RefusedError,
+    "The scan fits the mirror image of the head in the CT.",
+    "Compare left and right of the patient with the CT and its export. Do not continue before that is clear.",
+)
+
+
+HEAD_MOVED = ErrorCode(
+    "SRF-007",
+    RefusedError,
+    "The looks of a scan disagree: the head moved, or the cart did, while it was scanned.",
+    "Check the clamp and the cart's brakes, and scan again.",
+)
+
+
+SKIN_CHANGED = ErrorCode(
+    "SRF-008",
+    RefusedError,
+    "The skin is not where it was in the CT over a large part of the scan.",
+    "Scan parts that did not change, such as forehead, nose and ears, or add screws.",
+)
+
+
+FAR_FROM_START = ErrorCode(
+    "SRF-009",
+    RefusedError,
+    "The registration ended further from its start than the start's error explains.",
+    "Check the tracker's frame and the landmarks; without a start the pose is searched from the scan alone.",
+)
+
+
+MUCH_EXCLUDED = ErrorCode(
+    "SRF-010",
+    RefusedError,
+    "Too much of the scan is not the head's surface.",
+    "Take hands, drapes and tubes out of view, and scan again.",
+)
+
+
+SCANS_APART = ErrorCode(
+    "SRF-011",
+    DataError,
+    "Two scans have too little of the surface in common to be compared.",
+    "Scan the same parts of the head again.",
+)
 
 BAD_SCAN = ErrorCode(
     "SRF-020",

@@ -1,0 +1,245 @@
+"""Refusals of a surface registration, and the limits behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from procedures.registration.surface.errors import (
+    FAR_FROM_START,
+    HEAD_MOVED,
+    LITTLE_COVERAGE,
+    MIRRORED_HEAD,
+    MUCH_EXCLUDED,
+    OTHER_HEAD,
+    POORLY_DETERMINED,
+    SKIN_CHANGED,
+)
+from procedures.registration.surface.evidence import weigh_displacements
+from procedures.registration.surface.misfit import MisfitModel
+from procedures.registration.surface.regions import HEAD_MM, HeadAxes
+from procedures.registration.surface.settling import Pose, Settled, settle
+from procedures.registration.surface.starts import Start, pose_of
+from procedures.registration.surface.surface import Surface
+from procedures.registration.target_prediction import spread_directions
+from ronna_hw.arrays import Array, Mask
+
+COVERED_MM = 10.0  # a sample this near to a scanned point is covered
+CLEARLY_MIRRORED = 1.4  # ratio of residuals of one side and the other
+LEAST_MIRRORED_MM = 0.25  # smaller residuals are equal
+START_SIGMAS = 4.0
+MOVED_TURN_RAD, MOVED_MM = np.radians(1.0), 2.0  # of a head or cart that moved between looks (U)
+MOVED_EVIDENCE = 8.0  # log Bayes factor: one in three thousand, several movements tried
+CHANGED_MM = 1.0  # of skin that was pressed or swells (U)
+CHANGED_EVIDENCE = 6.0  # log Bayes factor, above which a region is excluded
+DOUBTED_EVIDENCE = 0.0  # above which its shift is unknown in the adjustment: excluding it would lose too much
+MOST_DOUBTED = 3
+THIRD = 1.0 / 3.0  # of the scan, as when the head lay on one side
+LEAST_CHANGE_MM = 0.4  # a smaller one is a misfit like any other
+CHANGED_RADII_MM = (15.0, 30.0)
+FEWEST_IN_GROUP = 6
+SIDES = 13  # axes along which the thirds are taken
+DIRECTIONS = ("left to right", "front to back", "head to feet")  # the axes of the CT
+
+
+@dataclass(frozen=True)
+class SurfaceLimits:
+    """Limits beyond which a surface registration is refused."""
+
+    # Share of the head's surface above the jaw. Half of a face has about this much.
+    # Safety against a pose from a patch without features. Source: parametric heads.
+    least_coverage: float = 0.07
+    # Predicted error that contains 95 % of targets.
+    # Safety against a scan that does not determine the target. Source: margin of a plan in the open brain (U).
+    largest_error_mm: float = 2.0
+    # Robust standard deviation of the distances: skin of the same head stays well below, another head above.
+    # Safety against the CT of another patient. Source: parametric heads.
+    largest_residual_mm: float = 1.2
+    # Share of the scan that is another body, or skin that changed.
+    # Safety against hands, drapes and hair taken for the head; skin that moved with the clamp.
+    most_excluded: float = 0.25
+    most_changed: float = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedSkin:
+    """Region of skin that is not where the CT shows it: its parts by name, its shift outwards, its points.
+
+    `points` marks the thinned points of the scan. `log_evidence` is the logarithm of the Bayes factor.
+    """
+
+    parts: tuple[str, ...]
+    shift_mm: float
+    log_evidence: float
+    points: Mask
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the region is better excluded than adjusted."""
+        return self.log_evidence > CHANGED_EVIDENCE and abs(self.shift_mm) > LEAST_CHANGE_MM
+
+
+def require_same_head(found: Settled, limits: SurfaceLimits) -> None:
+    """Raise SRF-005 if the scan does not lie on the surface."""
+    if found.sigma_mm > limits.largest_residual_mm:
+        raise OTHER_HEAD(
+            "the scan does not lie on the surface of the CT",
+            limit=f"{limits.largest_residual_mm:g} mm",
+            got=f"{found.sigma_mm:.2f} mm",
+        )
+
+
+def require_skin(is_other: Mask, limits: SurfaceLimits) -> None:
+    """Raise SRF-010 if other bodies make up too much of the scan."""
+    if is_other.mean() > limits.most_excluded:
+        raise MUCH_EXCLUDED(
+            "much of the scan is off the surface of the CT",
+            limit=f"{limits.most_excluded:.0%}",
+            got=f"{is_other.mean():.0%}",
+        )
+
+
+def require_coverage(share: float, points: int, limits: SurfaceLimits) -> float:
+    """Return the share of the head that was scanned. Raises SRF-002 if it is too small."""
+    if share < limits.least_coverage:
+        raise LITTLE_COVERAGE(
+            "the scan covers too little of the head",
+            limit=f"{limits.least_coverage:.0%}",
+            got=f"{share:.1%}, {points} points",
+        )
+    return share
+
+
+def share_covered(places_mm: Array, surface: Surface, axes: HeadAxes) -> float:
+    """Return the share of the head above the jaw's angle that lies near scanned places."""
+    samples = surface.points_mm[axes.depth_mm(surface.points_mm) < HEAD_MM]
+    distances, _ = cKDTree(places_mm).query(samples, distance_upper_bound=COVERED_MM)
+    return float(np.isfinite(distances).mean())
+
+
+def is_side_proven(found: Settled, used: Mask, points_mm: Array, view_mm: Array, surface: Surface) -> bool:
+    """Return whether the mirror image of the scan fits clearly worse. Raises SRF-006 if it fits better."""
+    flip = np.diag([-1.0, 1.0, 1.0])
+    across = np.array([2.0 * HeadAxes.of(surface).middle_mm[0], 0.0, 0.0])
+    mirrored = Pose(flip @ found.pose.rotation @ flip, flip @ found.pose.translation_mm + across)
+    other = settle(mirrored, points_mm @ flip, view_mm @ flip, surface, used)
+    here = max(found.sigma_of(used), LEAST_MIRRORED_MM)
+    there = max(other.sigma_of(used), LEAST_MIRRORED_MM)
+    if here > CLEARLY_MIRRORED * there:
+        raise MIRRORED_HEAD("left and right of the CT are exchanged", got=f"{there:.2f} mm, else {here:.2f} mm")
+    return there > CLEARLY_MIRRORED * here
+
+
+def require_still(
+    model: MisfitModel, jacobian: Array, distances_mm: Array, look: Array
+) -> None:
+    """Raise SRF-007 if some looks were taken of a head elsewhere: one of them, or all from one on."""
+    numbers = np.unique(look)
+    groups = {f"from look {one} on": look >= one for one in numbers[1:]}
+    groups |= {f"at look {one}": look == one for one in numbers[1:-1]}
+    groups = {name: rows for name, rows in groups.items() if rows.sum() >= FEWEST_IN_GROUP}
+    size = np.repeat([MOVED_TURN_RAD, MOVED_MM], 3)
+    columns = [jacobian * size * rows[:, None] for rows in groups.values()]
+    weighed = weigh_displacements(model, jacobian, distances_mm, columns)
+    if not weighed:
+        return
+    name, worst = max(zip(groups, weighed, strict=True), key=lambda item: item[1].log_evidence)
+    if worst.log_evidence > MOVED_EVIDENCE:
+        moved = worst.size * size
+        raise HEAD_MOVED(
+            f"the head is elsewhere {name}",
+            got=f"{np.linalg.norm(moved[3:]):.1f} mm and {np.degrees(np.linalg.norm(moved[:3])):.1f} deg",
+        )
+
+
+def weigh_regions(
+    model: MisfitModel, jacobian: Array, found: Settled, used: Mask, axes: HeadAxes
+) -> list[ChangedSkin]:
+    """Weigh for regions of skin whether they are where the CT shows them; the most doubtful comes first.
+
+    Tried are discs of two sizes, the parts of the head by name, and the third of the scan on each side.
+    """
+    places, distances = found.places_mm[used], found.distances_mm[used]
+    names = axes.name_parts(places)
+    groups = [names == one for one in np.unique(names)]
+    for direction in (sign * one for one in spread_directions(SIDES) for sign in (1.0, -1.0)):
+        along = places @ direction
+        groups.append(along > np.quantile(along, 1.0 - THIRD))
+    tree = cKDTree(places)
+    for radius_mm in CHANGED_RADII_MM:
+        for rows in tree.query_ball_point(places[_spread(places, radius_mm)], radius_mm):
+            groups.append(np.isin(np.arange(len(places)), rows))
+    groups = [one for one in groups if FEWEST_IN_GROUP <= one.sum() <= len(places) // 2]
+    columns = [CHANGED_MM * one[:, None].astype(float) for one in groups]
+    regions = []
+    for one, rows in zip(weigh_displacements(model, jacobian, distances, columns), groups, strict=True):
+        points = np.zeros(len(used), dtype=bool)
+        points[np.flatnonzero(used)[rows]] = True
+        parts = tuple(sorted(set(names[rows].tolist())))
+        regions.append(ChangedSkin(parts, float(one.size[0] * CHANGED_MM), one.log_evidence, points))
+    return sorted(regions, key=lambda one: -one.log_evidence)
+
+
+def list_doubted(regions: Sequence[ChangedSkin]) -> list[ChangedSkin]:
+    """Return the regions that may have changed, the most doubtful first, without what they share."""
+    doubted: list[ChangedSkin] = []
+    for one in regions:
+        is_apart = all(2 * (one.points & other.points).sum() < one.points.sum() for other in doubted)
+        if one.log_evidence > DOUBTED_EVIDENCE and is_apart and len(doubted) < MOST_DOUBTED:
+            doubted.append(one)
+    return doubted
+
+
+def require_agreement(changed: Sequence[ChangedSkin], limits: SurfaceLimits) -> None:
+    """Raise SRF-008 if the skin changed over too much of the scan."""
+    share = float(np.any([one.points for one in changed], axis=0).mean()) if changed else 0.0
+    if share > limits.most_changed:
+        names = sorted({name for one in changed for name in one.parts})
+        raise SKIN_CHANGED(
+            f"the skin is elsewhere at {', '.join(names)}",
+            limit=f"{limits.most_changed:.0%} of the scan",
+            got=f"{share:.0%}, up to {max(abs(one.shift_mm) for one in changed):.1f} mm",
+        )
+
+
+def require_start(pose: Pose, start: Start | None, axes: HeadAxes) -> None:
+    """Raise SRF-009 if the pose is further from its start than that explains."""
+    if start is None:
+        return
+    at_mm = axes.centre_mm
+    before = pose_of(start)
+    turn = float(Rotation.from_matrix(pose.rotation @ before.rotation.T).magnitude())
+    robot = (at_mm - pose.translation_mm) @ pose.rotation
+    place = float(np.linalg.norm(before.apply(robot[None])[0] - at_mm))
+    if turn > START_SIGMAS * start.turn_rad or place > START_SIGMAS * start.place_mm:
+        raise FAR_FROM_START(
+            "the registration ended far from its start",
+            limit=f"{np.degrees(START_SIGMAS * start.turn_rad):.1f} deg and {START_SIGMAS * start.place_mm:.1f} mm",
+            got=f"{np.degrees(turn):.1f} deg and {place:.1f} mm",
+        )
+
+
+def require_determined(limit_mm: float, covariance_ct_mm2: Array, target_ct_mm: Array, limits: SurfaceLimits) -> None:
+    """Raise SRF-003 if the predicted error of a target is too large, with its worst direction."""
+    if limit_mm <= limits.largest_error_mm:
+        return
+    worst = np.linalg.eigh(covariance_ct_mm2)[1][:, -1]
+    place = ", ".join(f"{value:.0f}" for value in target_ct_mm)
+    raise POORLY_DETERMINED(
+        f"the target at {place} mm is not determined, worst {DIRECTIONS[int(np.abs(worst).argmax())]}",
+        limit=f"{limits.largest_error_mm:g} mm with 95 %",
+        got=f"{limit_mm:.2f} mm",
+    )
+
+
+def _spread(places_mm: Array, apart_mm: float) -> list[int]:
+    """Return rows of points that are at least this far apart."""
+    kept: list[int] = []
+    for row, place in enumerate(places_mm):
+        if not kept or np.linalg.norm(places_mm[kept] - place, axis=1).min() > apart_mm:
+            kept.append(row)
+    return kept

@@ -1,0 +1,78 @@
+"""Errors of the arm that the points of a scan share, as displacements of each point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from procedures.registration.surface.errors import BAD_SURFACE_INPUT
+from procedures.registration.surface.scan import SurfaceScan
+from procedures.registration.target_prediction import AXES, IndependentErrors, SharedErrors
+from ronna_hw.arrays import Array
+
+Sources = Sequence[SharedErrors | IndependentErrors]
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorColumns:
+    """Displacements (n, 3, k) mm of the points of a scan by k errors of one standard deviation each.
+
+    An independent error of a look displaces all of its points, so it takes three columns for each look.
+    """
+
+    displacements_mm: Array
+
+    @classmethod
+    def of(cls, sources: Sources, scan: SurfaceScan, rows: Array) -> Self:
+        """Collect the columns for some points of a scan. Raises SRF-001 for other numbers of rows.
+
+        A source has a row for each look, in the order of their numbers, or a shared one for each point.
+        """
+        looks, look_of = np.unique(scan.look, return_inverse=True)
+        columns = [np.zeros((len(rows), AXES, 0))]
+        for one in sources:
+            given = len(one.at_spheres_mm if isinstance(one, SharedErrors) else one.at_spheres_mm2)
+            is_by_point = isinstance(one, SharedErrors) and given == len(scan)
+            if given != len(looks) and not is_by_point:
+                raise BAD_SURFACE_INPUT(
+                    f"the source '{one.source}' does not fit the scan",
+                    expected=f"{len(looks)} rows, one for each look",
+                    got=f"{given}",
+                )
+            of_rows = rows if is_by_point else look_of[rows]
+            columns.append(by_look(one)[of_rows])
+        displacements = np.concatenate(columns, axis=2)
+        if not np.isfinite(displacements).all():
+            raise BAD_SURFACE_INPUT("an error of the arm is not finite")
+        return cls(displacements)
+
+    def along(self, directions: Array) -> Array:
+        """Return the displacements (n, k) along directions (n, 3) of the robot frame."""
+        return np.asarray(np.einsum("ni,nik->nk", directions, self.displacements_mm))
+
+
+def by_look(source: SharedErrors | IndependentErrors) -> Array:
+    """Return the displacements (m, 3, k) of the rows of a source by its errors."""
+    if isinstance(source, SharedErrors):
+        return source.at_spheres_mm
+    sizes, axes = np.linalg.eigh(source.at_spheres_mm2)
+    roots = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
+    looks = len(roots)
+    columns = np.zeros((looks, AXES, looks, AXES))
+    columns[np.arange(looks), :, np.arange(looks)] = roots
+    return columns.reshape(looks, AXES, looks * AXES)
+
+
+def at_target(sources: Sources) -> tuple[Array, Array]:
+    """Return the displacements (3, k) of a target by the same columns, and the independent covariance there."""
+    columns, covariance = [np.zeros((AXES, 0))], np.zeros((AXES, AXES))
+    for one in sources:
+        if isinstance(one, SharedErrors):
+            columns.append(one.at_target_mm)
+        else:
+            columns.append(np.zeros((AXES, AXES * len(one.at_spheres_mm2))))
+            covariance = covariance + one.at_target_mm2
+    return np.concatenate(columns, axis=1), covariance

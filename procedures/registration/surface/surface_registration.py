@@ -1,0 +1,243 @@
+"""Registration of a scan to the surface in the CT, with what it knows about its own error.
+
+The scan is settled robustly, other bodies and changed skin are excluded, and the pose is adjusted under all
+hypotheses about the misfit of the skin (`misfit`). The error at a target follows from the mixture: never from
+the sharpness of the fit alone, which counts neighbouring points as if they were independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform
+
+from procedures.registration.error_theory import DEFAULT_CONFIDENCE
+from procedures.registration.points import validate_targets
+from procedures.registration.rigid_fit import pose_jacobian
+from procedures.registration.surface.checks import (
+    CHANGED_MM,
+    ChangedSkin,
+    SurfaceLimits,
+    is_side_proven,
+    list_doubted,
+    require_agreement,
+    require_coverage,
+    require_determined,
+    require_same_head,
+    require_skin,
+    require_start,
+    require_still,
+    share_covered,
+    weigh_regions,
+)
+from procedures.registration.surface.evidence import SCOUTS
+from procedures.registration.surface.misfit import MISFITS, Misfit, MisfitModel, PoseMixture, mixture_limit_mm
+from procedures.registration.surface.regions import HeadAxes
+from procedures.registration.surface.scan import SurfaceScan
+from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
+from procedures.registration.surface.shared_errors import ErrorColumns, Sources, at_target
+from procedures.registration.surface.starts import Start, find_pose, pose_of
+from procedures.registration.surface.surface import Surface
+from procedures.registration.surface.thinning import thin_points
+from ronna_hw.arrays import Array, Mask
+from ronna_hw.frames import Frame, Transform
+
+MOST_STEPS = 12
+STILL = 1e-7  # mm and rad: a smaller step changes nothing
+FEWEST_POINTS = 30  # of a scan after thinning: five for each unknown
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePrediction:
+    """Error of the registration at one target, in the robot frame: a mixture of normal errors.
+
+    Of each hypothesis (h,) the offset (h, 3) from the pose that is used, and the covariance (h, 3, 3).
+    """
+
+    weights: Array
+    offsets_mm: Array
+    covariances_mm2: Array
+
+    @property
+    def covariance_mm2(self) -> Array:
+        """Covariance (3, 3) of the error."""
+        spread = self.offsets_mm[:, :, None] * self.offsets_mm[:, None, :]
+        return np.asarray(np.einsum("h,hij->ij", self.weights, self.covariances_mm2 + spread))
+
+    @property
+    def rms_mm(self) -> float:
+        """Rms magnitude of the error."""
+        return float(np.sqrt(np.trace(self.covariance_mm2)))
+
+    def limit_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
+        """Return the radius in mm that contains the error with this probability."""
+        return mixture_limit_mm(self.weights, self.offsets_mm, self.covariances_mm2, confidence)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceRegistration:
+    """Pose robot <- CT by a surface, and its error.
+
+    `points_mm` are those of the thinned scan, `residuals_mm` their distances to the surface; `excluded` marks
+    other bodies and `changed` skin; of `doubted` skin the shift is unknown in the adjustment. `coverage` is the share of the head's surface that was scanned.
+    `side_proven` says whether the mirror image fits clearly worse: if it does not, left and right must be
+    confirmed by another observation.
+    """
+
+    robot_from_ct: Transform
+    points_mm: Array
+    residuals_mm: Array
+    excluded: Mask
+    changed: tuple[ChangedSkin, ...]
+    doubted: tuple[ChangedSkin, ...]
+    coverage: float
+    side_proven: bool
+    centre_ct_mm: Array
+    mixture: PoseMixture = field(repr=False)
+    along_mm: Array = field(repr=False)  # (m, k) displacement of the used points by the shared errors
+
+    @property
+    def misfit_mm(self) -> float:
+        """Standard deviation of the misfit that the scan shows, rms over the hypotheses."""
+        return float(np.sqrt(self.mixture.weights @ [one.size_mm**2 for one in MISFITS]))
+
+    @property
+    def misfit_length_mm(self) -> float:
+        """Expected correlation length of the misfit."""
+        return float(self.mixture.weights @ [one.length_mm for one in MISFITS])
+
+    def predict(self, target_ct_mm: ArrayLike, arm_at_target: Sources = ()) -> SurfacePrediction:
+        """Predict the error at a target (3,) of the CT.
+
+        `arm_at_target` are the sources that were given to the registration, with what they displace at this
+        target; without them the error is that of the registration alone. Raises REG-001.
+        """
+        target = validate_targets(target_ct_mm)[0]
+        slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
+        covariances = slope @ self.mixture.covariances @ slope.T
+        if arm_at_target:
+            shared, independent_mm2 = at_target(arm_at_target)
+            crossed = slope @ self.mixture.gains @ self.along_mm @ shared.T
+            covariances = covariances + crossed + np.swapaxes(crossed, 1, 2) + shared @ shared.T + independent_mm2
+        return SurfacePrediction(self.mixture.weights, self.mixture.shifts @ slope.T, covariances)
+
+
+def register_surface(
+    scan: SurfaceScan,
+    surface: Surface,
+    start: Start | None = None,
+    *,
+    targets_ct_mm: ArrayLike | None = None,
+    arm: Sources = (),
+    limits: SurfaceLimits | None = None,
+) -> SurfaceRegistration:
+    """Register a scan to a surface; without a start the pose is searched by the scan alone.
+
+    `arm` are errors that the points share, as displacements in the robot frame, with a row for each look (in
+    the order of their numbers) or for each point. Without targets the middle of the head stands for them.
+    Raises SRF-001 to SRF-010: a registration that is not refused may be used within its predicted error.
+    """
+    limits = limits or SurfaceLimits()
+    axes = HeadAxes.of(surface)
+    targets = axes.centre_mm[None] if targets_ct_mm is None else validate_targets(targets_ct_mm)
+    rows, _ = thin_points(scan.points_mm)
+    thin = scan.select(rows)
+    columns = ErrorColumns.of(arm, scan, rows)
+    if len(thin) < FEWEST_POINTS:
+        require_coverage(0.0, len(thin), limits)
+    found = _settle(thin, surface, start, limits)
+    used = ~mark_other_bodies(found)
+    side_proven = is_side_proven(found, used, thin.points_mm, thin.view_mm, surface)
+    used, changed, doubted = _judge_skin(found, used, thin, columns, axes, limits)
+    coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
+    found, centre, mixture, along = _adjust(found, used, thin, surface, columns, doubted)
+    require_start(found.pose, start, axes)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = found.pose.rotation, found.pose.translation_mm
+    ct_from_robot = Transform(Frame.CT, Frame.ROBOT, RigidTransform.from_matrix(matrix))
+    registration = SurfaceRegistration(
+        ct_from_robot.inverse(), thin.points_mm, found.distances_mm, ~used, changed, doubted, coverage, side_proven,
+        centre, mixture, along,
+    )
+    for target in targets:
+        predicted = registration.predict(target)
+        in_ct = found.pose.rotation @ predicted.covariance_mm2 @ found.pose.rotation.T
+        require_determined(predicted.limit_mm(), in_ct, target, limits)
+    return registration
+
+
+def _settle(thin: SurfaceScan, surface: Surface, start: Start | None, limits: SurfaceLimits) -> Settled:
+    """Settle the scan on the surface. Raises SRF-002, 004, 005, 010.
+
+    A start from which it does not settle is not trusted: the search then says whether it was wrong.
+    """
+    points, view, same_head_mm = thin.points_mm, thin.view_mm, limits.largest_residual_mm
+    found = None if start is None else settle(pose_of(start), points, view, surface)
+    if found is None or found.sigma_mm > same_head_mm:
+        found = settle(find_pose(points, view, surface, same_head_mm).pose, points, view, surface)
+    require_same_head(found, limits)
+    is_other = mark_other_bodies(found)
+    require_skin(is_other, limits)
+    return settle(found.pose, points, view, surface, ~is_other)
+
+
+def _judge_skin(
+    found: Settled, used: Mask, thin: SurfaceScan, columns: ErrorColumns, axes: HeadAxes, limits: SurfaceLimits
+) -> tuple[Mask, tuple[ChangedSkin, ...], tuple[ChangedSkin, ...]]:
+    """Return the points whose skin did not change, and the regions that changed, and that may have.
+
+    Raises SRF-007, SRF-008.
+    """
+    changed: list[ChangedSkin] = []
+    while True:
+        model, jacobian, _ = _model(found, used, thin, columns, SCOUTS)
+        if not changed:
+            require_still(model, jacobian, found.distances_mm[used], thin.look[used])
+        regions = weigh_regions(model, jacobian, found, used, axes)
+        clear = [one for one in regions if one.is_clear]
+        if not clear:
+            return used, tuple(changed), tuple(list_doubted(regions))
+        changed.append(clear[0])
+        require_agreement(changed, limits)
+        used = used & ~clear[0].points
+
+
+def _model(
+    found: Settled,
+    used: Mask,
+    thin: SurfaceScan,
+    columns: ErrorColumns,
+    misfits: Sequence[Misfit],
+    doubted: Sequence[ChangedSkin] = (),
+) -> tuple[MisfitModel, Array, Array]:
+    """Return the misfit's model of the used points, their Jacobian, and the shared errors along normals."""
+    directions = found.normals @ found.pose.rotation  # in the robot frame
+    noise = np.einsum("ni,nij,nj->n", directions, thin.covariance_mm2, directions)[used]
+    along = columns.along(directions)[used]
+    unknown = [CHANGED_MM * one.points[used].astype(float) for one in doubted]
+    model = MisfitModel.of(thin.points_mm[used], noise, np.column_stack([along, *unknown]), misfits)
+    return model, found.jacobian(found.places_mm[used].mean(axis=0))[used], along
+
+
+def _adjust(
+    found: Settled,
+    used: Mask,
+    thin: SurfaceScan,
+    surface: Surface,
+    columns: ErrorColumns,
+    doubted: Sequence[ChangedSkin],
+) -> tuple[Settled, Array, PoseMixture, Array]:
+    """Step to the mean of all hypotheses; return the pose, its centre, and the mixture about it."""
+    model, jacobian, along = _model(found, used, thin, columns, MISFITS, doubted)
+    for _ in range(MOST_STEPS):
+        centre = found.places_mm[used].mean(axis=0)
+        mixture = model.adjust(jacobian, found.distances_mm[used])
+        mean = mixture.mean
+        if np.abs(mean).max() < STILL:
+            break
+        found = Settled.at(found.pose.moved(mean, centre), thin.points_mm, thin.view_mm, surface)
+        jacobian = found.jacobian(found.places_mm[used].mean(axis=0))[used]
+    return found, centre, replace(mixture, shifts=mixture.shifts - mean), along
