@@ -45,10 +45,11 @@ ConfigOption = Annotated[Path | None, Option(metavar="FILE", help="Theatre file 
 
 
 class FiducialChoice(StrEnum):
-    """Type of markers on the patient."""
+    """Type of markers on the patient, or the surface of the head instead."""
 
     FREE = "free"
     XFRAME = "xframe"
+    SURFACE = "surface"
 
 
 class TrackerChoice(StrEnum):
@@ -195,7 +196,10 @@ class CaseOptions(TheatreOptions):
         int | None, Option(min=1, max=10, help="Number of trajectories (default: the scene's).")
     ] = None
     fiducials: Annotated[
-        FiducialChoice, Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
+        FiducialChoice,
+        Option(
+            help="Fixation of the spheres: screws, or the x-shaped frame; surface: no spheres, the skin is scanned."
+        ),
     ] = FiducialChoice.FREE
     strategy: Annotated[str, Option(metavar="|".join(STRATEGY_NAMES), help=STRATEGY_HELP)] = DEFAULT_STRATEGY
     localizer: Annotated[

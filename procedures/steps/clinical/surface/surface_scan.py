@@ -1,0 +1,256 @@
+"""Scan of the skin: at each look the projector's line in a few places across, seen by the stereo head.
+
+The points are kept in the robot frame by the nominal tool pose, with the number of the look: what the arm
+errs there its points share, and the registration accounts for it.
+"""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from pydantic import Field, NonNegativeInt
+
+from procedures.engine.context import StepContext
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
+from procedures.guards.room_reading import CAREFUL_FRAMES
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import Values
+from procedures.registration.surface.errors import NOTHING_LIT
+from procedures.registration.surface.scan import SurfaceScan
+from procedures.relocalization.triangulation import camera_model
+from procedures.room.sighting import Tracked
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.path_check import (
+    CheckedPaths,
+    LocalizationPose,
+    announce_motions,
+    motions_over_spheres,
+)
+from procedures.steps.clinical.relocalization import arriving
+from procedures.steps.clinical.results import Relocalization
+from procedures.steps.clinical.room import ROOM_READS, check_room
+from procedures.steps.clinical.surface.coverage_picture import draw_coverage
+from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surface.surface_start import SurfaceStart
+from procedures.steps.clinical.surroundings import READS, surround_stereo_head
+from procedures.steps.conditions import REMOUNTED, needs_tool
+from procedures.strategies.trajectory import back_along_axis
+from procedures.workcell import MountedTool
+from procedures.workcell.line_look import LineLook
+from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
+from ronna_hw.arrays import Array
+from ronna_hw.calibration import Numbers3
+from ronna_hw.errors import RonnaError, is_error
+from ronna_hw.vectors import JointVector, vector3
+
+ACROSS_MM = (0.0, 6.0, -6.0)  # places of the line across a look, along the tool's y axis
+LINE_AREA_PX = (2048, 512)  # the whole line, and skin up to 12 mm nearer or farther than expected
+DECIMALS = 4  # of a point in the record, mm
+SMALL_STEPS = "the small steps across each place on the skin"
+LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
+Numbers6 = tuple[float, float, float, float, float, float]
+
+
+class ScannedLine(Values):
+    """Points of one line of light on the skin, robot frame, by the nominal tool pose."""
+
+    look: NonNegativeInt = Field(description="Number of the look that it belongs to.")
+    joints_rad: JointVector = Field(description="Joints measured there.")
+    view_mm: Numbers3 = Field(description="Place of the left camera.")
+    points_mm: tuple[Numbers3, ...] = Field(description="Its points.")
+    covariances_mm2: tuple[Numbers6, ...] = Field(
+        description="Of their measurement alone: xx, xy, xz, yy, yz, zz."
+    )
+
+
+class ScannedSurface(Relocalization, kind="surface_scan"):
+    """The skin as the stereo head saw it, in the place of spheres."""
+
+    lines: tuple[ScannedLine, ...] = Field(description="Lines with points, in the order of the scan.")
+    planned_looks: int = Field(description="Looks of the path check.")
+    dark: dict[str, str] = Field(description="Looks without any line, by their number from 1, and why.")
+    covered: float = Field(description="Share of the skin above the jaw within 10 mm of a point.")
+    theatre_s: float = Field(description="Theatre time from the first look to the last.")
+
+    @property
+    def scan(self) -> SurfaceScan:
+        """The cloud, as a registration takes it."""
+        return SurfaceScan.join([_as_scan(number, line) for number, line in enumerate(self.lines)])
+
+    @property
+    def looks_taken(self) -> tuple[int, ...]:
+        """Numbers of the looks with points, ascending."""
+        return tuple(sorted({line.look for line in self.lines}))
+
+    @classmethod
+    def without_spheres(cls, **fields: object) -> Self:
+        """Build the result; what a relocalization says of each sphere is empty."""
+        empty = dict.fromkeys(
+            ("fiducials", "points_robot_mm", "covariances_mm2", "residuals_mm", "ray_gaps_mm", "radii_mm")
+            + ("looks", "joints_rad"),
+            (),
+        )
+        return cls.model_validate({**empty, **fields})
+
+
+def run(context: StepContext) -> Outcome[ScannedSurface]:
+    """Scan the skin from all looks of the path check. Raises SRF-032 if none shows a line, PRO-007."""
+    paths = context.result(CheckedPaths)
+    motions = motions_over_spheres(paths.motions, context.key.trajectory)
+    announced = announce_motions(motions, SMALL_STEPS) if motions else None
+    with context.workcell.master.supervised.announce_step_motions(announced):
+        return _scan(context, paths)
+
+
+def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
+    context.result(ImportedCt)
+    planned = [one for _, one in paths.looks_for(context.key.trajectory)]
+    workcell = context.workcell
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
+    _begin(context)
+    began_s = workcell.clock.now_s()
+    lines: list[ScannedLine] = []
+    dark: dict[str, str] = {}
+    offsets_mm: list[Array] = []
+    for number, one in enumerate(planned):
+        context.progress(number / len(planned), f"scanning the skin, look {number + 1} of {len(planned)}")
+        scanner = _Scanner(context, number, one, arriving(context, paths, one))
+        try:
+            seen = scanner.scan()
+        except RonnaError as problem:
+            if not is_error(problem, *LEFT_OUT):
+                raise
+            dark[str(number + 1)] = problem.summary
+            continue
+        if not seen:
+            dark[str(number + 1)] = scanner.reason
+        lines += seen
+        offsets_mm += [
+            np.median(line.points_mm, axis=0) - one.tool_pose.transform.translation_mm for line in seen
+        ]
+    theatre_s = workcell.clock.now_s() - began_s
+    for number, reason in dark.items():
+        context.find(f"look {number} at the skin shows no line: {reason}")
+    if not lines:
+        raise NOTHING_LIT(
+            "no look shows the line", expected="a line", got=next(iter(dark.values()), "nothing")
+        )
+    workcell.master.line_to(
+        back_along_axis(workcell.master.tool_pose(), context.setting.settings.approach_mm)
+    )
+    check_room(context, "after the skin was scanned")
+    points_mm = np.concatenate([line.points_mm for line in lines])
+    in_ct = np.asarray(context.result(SurfaceStart).robot_from_ct.transform.inverse().apply(points_mm))
+    covered, picture = draw_coverage(skin_of(context), in_ct)
+    context.keep_picture("surface-coverage.png", picture)
+    return Outcome(
+        ScannedSurface.without_spheres(
+            coarse_offset_mm=vector3(np.mean(offsets_mm, axis=0)),
+            lines=lines,
+            planned_looks=len(planned),
+            dark=dark,
+            covered=covered,
+            theatre_s=theatre_s,
+        ),
+        summary=f"{len(lines)} lines, {len(points_mm)} points, {covered:.0%} of the skin above the jaw"
+        + (f"; {len(dark)} looks show no line" if dark else ""),
+    )
+
+
+def _begin(context: StepContext) -> None:
+    """Start arm and cameras; if the arm is at home, it must be seen there, so that what moves later shows."""
+    workcell, occasion = context.workcell, "before the skin is scanned"
+    check_room(context, occasion)
+    workcell.start(cameras=True)
+    if workcell.master.place.is_home:
+        workcell.master.return_home()
+        if check_room(context, occasion, CAREFUL_FRAMES).base_mm is None:
+            raise GateFailed(
+                f"{occasion}, the tracker does not see the frame on the arm",
+                expected=f"the frame in view, with {workcell.phrases.arms} home",
+                action="Clear the line of sight between tracker and arm, then repeat the step.",
+            )
+    workcell.sensors.read_around_tool(LINE_AREA_PX)
+
+
+class _Scanner:
+    """Scans one place on the skin: on to it, then across it in small steps."""
+
+    def __init__(
+        self, context: StepContext, number: int, look: LocalizationPose, sides: tuple[int, ...] | None
+    ) -> None:
+        self._context, self._number, self._look, self._sides = context, number, look, sides
+        self.reason = ""
+
+    def scan(self) -> list[ScannedLine]:
+        """Return the lines that show, with `reason` for those that do not."""
+        workcell, pose = self._context.workcell, self._look.tool_pose.transform
+        lines = []
+        for across_mm in ACROSS_MM:
+            here = pose.displace(pose.rotation_matrix[:, 1] * across_mm)
+            near = self._look.joints_rad
+            workcell.master.settle(
+                workcell.master.joints_at(here, near, self._sides), self._sides, allow_detour=True
+            )
+            if across_mm == ACROSS_MM[0]:
+                name = f"at look {self._number + 1}"
+                check_room(self._context, name, sides={Tracked.ARM: self._sides})
+            seen = workcell.look_at_line(workcell.look_dark())
+            if seen.points is None or not len(seen.points.points_mm):
+                self.reason = "" if seen.problem is None else seen.problem.summary
+            else:
+                lines.append(self._record(seen))
+        return lines
+
+    def _record(self, seen: LineLook) -> ScannedLine:
+        workcell, found = self._context.workcell, seen.points
+        assert found is not None
+        joints_rad = workcell.master.joints_rad()
+        pose = workcell.master.tool_pose(joints_rad, self._sides)
+        view_mm = camera_model(workcell.calibrations.stereo_head.left).centre_mm
+        turn = pose.rotation_matrix
+        return ScannedLine(
+            look=self._number,
+            joints_rad=joints_rad,
+            view_mm=vector3(_rounded(pose.apply(view_mm))),
+            points_mm=_rounded(pose.apply(found.points_mm)).tolist(),
+            covariances_mm2=_upper(turn @ found.covariance_mm2 @ turn.T).tolist(),
+        )
+
+
+def _rounded(points_mm: Array) -> Array:
+    return np.asarray(np.round(points_mm, DECIMALS))
+
+
+UPPER = np.triu_indices(3)
+
+
+def _upper(covariance_mm2: Array) -> Array:
+    return np.asarray(covariance_mm2[:, UPPER[0], UPPER[1]])
+
+
+def _as_scan(number: int, line: ScannedLine) -> SurfaceScan:
+    count = len(line.points_mm)
+    covariance = np.empty((count, 3, 3))
+    covariance[:, UPPER[0], UPPER[1]] = covariance[:, UPPER[1], UPPER[0]] = line.covariances_mm2
+    return SurfaceScan(
+        np.array(line.points_mm),
+        covariance,
+        np.full(count, line.look),
+        np.full(count, number),
+        np.tile(line.view_mm, (count, 1)),
+    )
+
+
+STEP = StepSpec(
+    ScannedSurface,
+    "Scan the skin with the stereo head",
+    Phase.OPERATION,
+    run,
+    scope=Scope.LOCALIZATION,
+    reads=(ImportedCt, CheckedPaths, SurfaceStart, *ROOM_READS, *READS),
+    moves=True,
+    preconditions=needs_tool(MountedTool.STEREO_HEAD, REMOUNTED),
+)
