@@ -1,4 +1,4 @@
-"""Errors in CT series and sphere localization, CT-001 to CT-026."""
+"""Errors in CT series and sphere localization, CT-001 to CT-028."""
 
 from __future__ import annotations
 
@@ -241,5 +241,14 @@ KERNEL_UNNAMED = ErrorCode(
         "Export the series again with its acquisition parameters, or have it reconstructed anew with a usual "
         "kernel, soft to sharp. To look at it without a case: ronna-ct localize."
     ),
+    own_exit_code=EXIT_REFUSED,
+)
+
+
+NO_SURFACE = ErrorCode(
+    "CT-028",
+    DataError,
+    "The CT shows no head, or no skin or bone of it that is free.",
+    "Give a CT in Hounsfield units that shows the head with air around it, also where it is to be scanned.",
     own_exit_code=EXIT_REFUSED,
 )

@@ -38,11 +38,11 @@ CHANGED_MM = 1.0  # of skin that was pressed or swells (U)
 CHANGED_EVIDENCE = 6.0  # log Bayes factor, above which a region is excluded
 DOUBTED_EVIDENCE = 0.0  # above which its shift is unknown in the adjustment: excluding it would lose too much
 MOST_DOUBTED = 3
-THIRD = 1.0 / 3.0  # of the scan, as when the head lay on one side
+SIDE_SHARES = (0.25, 0.4)  # of the scan, as when the head lay on one side
 LEAST_CHANGE_MM = 0.4  # a smaller one is a misfit like any other
 CHANGED_RADII_MM = (15.0, 30.0)
 FEWEST_IN_GROUP = 6
-SIDES = 13  # axes along which the thirds are taken
+SIDES = 13  # axes along which the sides are taken
 DIRECTIONS = ("left to right", "front to back", "head to feet")  # the axes of the CT
 
 
@@ -58,7 +58,7 @@ class SurfaceLimits:
     largest_error_mm: float = 2.0
     # Robust standard deviation of the distances: skin of the same head stays well below, another head above.
     # Safety against the CT of another patient. Source: parametric heads.
-    largest_residual_mm: float = 1.2
+    largest_residual_mm: float = 0.9
     # Share of the scan that is another body, or skin that changed.
     # Safety against hands, drapes and hair taken for the head; skin that moved with the clamp.
     most_excluded: float = 0.25
@@ -161,14 +161,14 @@ def weigh_regions(
 ) -> list[ChangedSkin]:
     """Weigh for regions of skin whether they are where the CT shows them; the most doubtful comes first.
 
-    Tried are discs of two sizes, the parts of the head by name, and the third of the scan on each side.
+    Tried are discs of two sizes, the parts of the head by name, and two shares of the scan on each side.
     """
     places, distances = found.places_mm[used], found.distances_mm[used]
     names = axes.name_parts(places)
     groups = [names == one for one in np.unique(names)]
     for direction in (sign * one for one in spread_directions(SIDES) for sign in (1.0, -1.0)):
         along = places @ direction
-        groups.append(along > np.quantile(along, 1.0 - THIRD))
+        groups.extend(along > np.quantile(along, 1.0 - share) for share in SIDE_SHARES)
     tree = cKDTree(places)
     for radius_mm in CHANGED_RADII_MM:
         for rows in tree.query_ball_point(places[_spread(places, radius_mm)], radius_mm):

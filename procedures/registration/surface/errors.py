@@ -91,12 +91,14 @@ SCANS_APART = ErrorCode(
     "Scan the same parts of the head again.",
 )
 
+
 BAD_SCAN = ErrorCode(
     "SRF-020",
     DataError,
     "The arrays of a scan are not finite, differ in length, or have covariances that are none.",
     "Give one finite point, covariance, view, look and line per row, in mm; else scan again.",
 )
+
 
 EMPTY_SCAN = ErrorCode(
     "SRF-021",
