@@ -1,4 +1,4 @@
-"""Errors in stereo head measurements, STE-001 to STE-014. Data errors are also `ValueError`s."""
+"""Errors in stereo head measurements, STE-001 to STE-018. Data errors are also `ValueError`s."""
 
 from __future__ import annotations
 
@@ -108,4 +108,35 @@ HEAD_TURNED = ErrorCode(
     RefusedError,
     "A camera of the stereo head has moved since its calibration.",
     "Do not use these positions: check the stereo head with ronna-stereo check, then calibrate it.",
+)
+
+
+class NoLine(DataError):
+    """The image shows no laser line."""
+
+    code = "STE-015"
+    action = "Check that the projector lights and that its line falls into view; then lengthen the exposure."
+
+
+LINES_DO_NOT_MATCH = ErrorCode(
+    "STE-016",
+    DataError,
+    "The lines in both images have no part in common, or run along the baseline of the cameras.",
+    "Check that both cameras see the line, that it lies across the baseline, and the stereo calibration.",
+)
+
+
+NOT_IN_A_PLANE = ErrorCode(
+    "STE-017",
+    DataError,
+    "The points of one laser line do not lie in a plane.",
+    "Check the stereo calibration and that nothing reflects the line; then scan this line again.",
+)
+
+
+LINE_MOVED = ErrorCode(
+    "STE-018",
+    RefusedError,
+    "The plane or the width of the laser line differs from its record.",
+    "Check the projector's mount and focus, and the head with ronna-stereo check; then record the line again.",
 )

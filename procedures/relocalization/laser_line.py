@@ -1,0 +1,282 @@
+"""Centre of a laser line in an image at sub-pixel, with its standard deviation.
+
+The centre is where the derivative of a Gaussian as wide as the line, laid across it, sees as much light on
+either side. Such a filter does not see even ambient light, nor the clipped top of a saturated line, and little
+of the halo of light that was scattered in skin. Rows are put together over some spacing along the line: one
+row sees a few grains of speckle only.
+
+The standard deviation has two parts: the scatter of shorter blocks of rows, longer than a grain of speckle,
+and the asymmetry of the profile, seen as the shift between two filters of different width. The latter is from
+mottled skin, a tilted surface, or a specular spot, and does not scatter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.relocalization.errors import BadImage, NoLine, Saturated
+from procedures.relocalization.grey_image import (
+    AreaImage,
+    GreyImage,
+    highest_grey,
+    single_threaded,
+    validate_image,
+)
+from procedures.relocalization.line_ridges import Ridges, find_ridges, runs_along_rows
+from ronna_hw.arrays import Array, Mask
+from ronna_hw.robust_scale import MAD_TO_SIGMA, median
+
+SPACING_PX = 32  # of the centres along the line: 0.7 mm at the tool centre point
+BLOCK_PX = 8  # of rows whose scatter is looked at: a grain of speckle is 2 px
+FIRST_SIGMA_PX, LEAST_SIGMA_PX, LARGEST_SIGMA_PX = 8.0, 1.5, 12.0  # of the filter
+WINDOW_SIGMAS = 3.0
+WIDTH_SAMPLING = 3  # every third row tells the width
+EDGE_PX = 4  # at either end of a profile, for the level of the light beside the line
+WIDTH_OVER_SIGMA = 2.355  # of a Gaussian at half height
+WIDE_FILTER = 1.6  # over the usual one, for the asymmetry
+ASYMMETRY_SHARE = 0.5  # of the shift between both filters; of the error that a tail on one side leaves
+CLIPPED_SHARE = 0.05  # of the filter's width: error of a centre whose whole core is clipped
+LEAST_DEVIATION_PX = 0.01
+LARGEST_STEP_PX = 12.0  # from the rough centre, at once
+LEAST_LIGHT = 0.2  # of the usual curvature of the profile; with less, hair hides the line in this row
+OUTLIER_SIGMAS, OUTLIER_FLOOR_PX = 4.0, 0.3
+LEAST_ROWS = 0.5  # of a spacing
+POOLED = 5  # centres whose scatter is put together: four blocks alone say little
+LARGEST_DEVIATION_PX = 2.0
+SATURATED_SHARE = 0.5  # of the image
+GAUSSIAN_SLOPE = 0.5 * np.sqrt(np.pi)  # of the filter's answer, on a line of its width and unit height
+
+
+@dataclass(frozen=True)
+class LineImage:
+    """Centres (n, 2) of a line in an image, px x and y, in order along each of its branches.
+
+    `deviation_px` (n, 2) is one standard deviation, as a vector across the line: along it a centre is where it
+    is by definition. `branch` (n,) numbers the pieces. `width_px` (n,) is the standard deviation of the
+    profile, `grey` (n,) how far it stands out, `clipped` (n,) the saturated share of its core.
+    """
+
+    centres_px: Array
+    deviation_px: Array
+    branch: NDArray[np.int64]
+    width_px: Array
+    grey: Array
+    clipped: Array
+
+    def with_offset(self, x_px: float, y_px: float) -> Self:
+        """Return the line in pixels of the whole sensor, given the corner of the area."""
+        return replace(self, centres_px=self.centres_px + np.array([x_px, y_px]))
+
+
+def measure_line(lit: AreaImage, dark: AreaImage | None = None, *, spacing_px: int = SPACING_PX) -> LineImage:
+    """Measure the line in an image of an area, in pixels of the whole sensor.
+
+    `dark` is the same view without the line; without it, ambient light is taken from beside the line. Raises
+    STE-001 for what is no image or two different areas, STE-011 when saturated, STE-015 without a line.
+    """
+    grey = validate_image(lit.pixels)
+    light = grey if dark is None else _subtract(lit, dark)
+    turned = runs_along_rows(light)
+    if turned:
+        grey, light = (np.ascontiguousarray(each.T) for each in (grey, light))
+    ridges = find_ridges(light)
+    if not len(ridges.row):
+        _refuse(grey, ridges)
+    line = _refine(grey, light, ridges, spacing_px)
+    if not len(line.branch):
+        _refuse(grey, ridges)
+    if turned:
+        line = replace(line, centres_px=line.centres_px[:, ::-1], deviation_px=line.deviation_px[:, ::-1])
+    return line.with_offset(lit.offset_x_px, lit.offset_y_px)
+
+
+def _subtract(lit: AreaImage, dark: AreaImage) -> GreyImage:
+    ambient = validate_image(dark.pixels)
+    areas = [
+        (each.offset_x_px, each.offset_y_px, *each.pixels.shape, each.pixels.dtype) for each in (lit, dark)
+    ]
+    if areas[0] != areas[1]:
+        shapes = [f"{each[2]} x {each[3]} px, {each[4]}, at {each[0]}, {each[1]}" for each in areas]
+        raise BadImage("the images with and without the line differ", expected=shapes[0], got=shapes[1])
+    with single_threaded():
+        light: GreyImage = cv2.subtract(validate_image(lit.pixels), ambient)
+    return light
+
+
+def _refuse(grey: GreyImage, ridges: Ridges) -> None:
+    clipped = float(np.mean(grey[::4, ::4] >= highest_grey(grey)))
+    if clipped > SATURATED_SHARE:
+        raise Saturated("the image is saturated", limit=f"{SATURATED_SHARE:.0%}", got=f"{clipped:.0%} of it")
+    raise NoLine(
+        "no laser line in view",
+        expected=f"a line {ridges.limit_grey:.0f} grey values above what is beside it",
+        got=f"{ridges.strongest_grey:.1f}",
+    )
+
+
+class _Profiles:
+    """Windows across the line, one a row: light, columns, and the filter's answers at the present centres."""
+
+    def __init__(self, grey: GreyImage, light: GreyImage, ridges: Ridges, half_px: int) -> None:
+        start = np.clip(np.rint(ridges.column).astype(np.int64) - half_px, 0, None)
+        start = np.minimum(start, light.shape[1] - 2 * half_px - 1)
+        columns = start[:, None] + np.arange(2 * half_px + 1)
+        has_clipped = int(grey.max()) >= highest_grey(grey)
+        at = ridges.row[:, None], columns
+        profile = light[at].astype(np.float32)
+        ends = 0.5 * (profile[:, :EDGE_PX].mean(axis=1) + profile[:, -EDGE_PX:].mean(axis=1))
+        self.light = profile - ends[:, None]
+        self._clipped = grey[at] >= highest_grey(grey) if has_clipped else None
+        self._columns = columns.astype(np.float32)
+
+    def answer(self, centre: Array, sigma_px: float) -> tuple[Array, Array]:
+        """Return what each row shows more on the right, and how that grows per px with the centre."""
+        t = (self._columns - centre[:, None].astype(np.float32)) / np.float32(sigma_px)
+        square = t * t
+        bell = np.exp(np.float32(-0.5) * square) * self.light
+        score = np.einsum("ij,ij->i", t, bell).astype(float)
+        slope = (bell.sum(axis=1) - np.einsum("ij,ij->i", square, bell)).astype(float) / sigma_px
+        return score, slope
+
+    def core_sigma_px(self, centre: Array) -> float:
+        """Return the width of the mean profile at half height, as a standard deviation."""
+        sampled = slice(None, None, WIDTH_SAMPLING)
+        offset = np.rint(self._columns[sampled] - centre[sampled, None]).astype(np.int64)
+        reach = int(np.abs(offset).max())
+        sums = np.bincount((offset + reach).ravel(), self.light[sampled].ravel())
+        counts = np.bincount((offset + reach).ravel())
+        mean = sums / np.maximum(counts, 1)
+        half = 0.5 * mean[max(0, reach - 1) : reach + 2].mean()
+        sides = [_first_below(mean[reach:], half), _first_below(mean[reach::-1], half)]
+        return float(np.clip(sum(sides) / WIDTH_OVER_SIGMA, LEAST_SIGMA_PX, LARGEST_SIGMA_PX))
+
+    def clipped_share(self, centre: Array, sigma_px: float) -> Array:
+        """Return the saturated share of each row's core."""
+        if self._clipped is None:
+            return np.zeros(len(centre))
+        core = np.abs(self._columns - centre[:, None]) < sigma_px
+        return np.asarray((self._clipped & core).sum(axis=1) / np.maximum(core.sum(axis=1), 1))
+
+
+def _first_below(falling: Array, level: float) -> float:
+    """Return where values first fall below a level, interpolated."""
+    after = int(np.argmax(falling < level))
+    if not after:
+        return float(len(falling))
+    step = falling[after - 1] - falling[after]
+    return float(after - 1 + (falling[after - 1] - level) / step)
+
+
+def _refine(grey: GreyImage, light: GreyImage, ridges: Ridges, spacing_px: int) -> LineImage:
+    half_px = min(int(WINDOW_SIGMAS * LARGEST_SIGMA_PX), (light.shape[1] - 1) // 2)
+    profiles = _Profiles(grey, light, ridges, half_px)
+    centre, sigma_px = ridges.column, FIRST_SIGMA_PX
+    short = _Groups(ridges, spacing_px // 2)
+    for about_course in (False, True):
+        score, slope = profiles.answer(centre, sigma_px)
+        kept = _mark_lit(score, slope, about_course=about_course)
+        centre = short.smooth(centre, score, slope, kept)
+        sigma_px = profiles.core_sigma_px(centre)
+    score, slope = profiles.answer(centre, sigma_px)
+    wide_score, wide_slope = profiles.answer(centre, WIDE_FILTER * sigma_px)
+    kept = _mark_lit(score, slope, about_course=True)
+    groups, blocks = _Groups(ridges, spacing_px), _Groups(ridges, BLOCK_PX)
+    weight = np.where(kept, slope, 0.0)
+    total = groups.add(weight)
+    over = 1.0 / np.maximum(total, 1e-12)
+    x = groups.add(weight * centre + np.where(kept, score, 0.0)) * over
+    y = groups.add(weight * ridges.row) * over
+    shift = groups.add(np.where(kept, score, 0.0)) * over
+    wide = groups.add(np.where(kept, wide_score, 0.0)) / np.maximum(
+        groups.add(np.where(kept, wide_slope, 0.0)), 1e-12
+    )
+    clipped = groups.add(np.where(kept, profiles.clipped_share(centre, sigma_px), 0.0)) / np.maximum(
+        groups.add(kept), 1.0
+    )
+    variance = (
+        _scatter(groups, blocks, score, weight)
+        + (ASYMMETRY_SHARE * (wide - shift)) ** 2
+        + (CLIPPED_SHARE * sigma_px * clipped) ** 2
+        + LEAST_DEVIATION_PX**2
+    )
+    good = (groups.add(kept) >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
+    height = total / np.maximum(groups.add(kept), 1.0) / GAUSSIAN_SLOPE
+    return LineImage(
+        centres_px=np.column_stack([x, y])[good],
+        deviation_px=np.column_stack([np.sqrt(variance), np.zeros(len(x))])[good],
+        branch=groups.branch[good],
+        width_px=np.full(int(good.sum()), sigma_px),
+        grey=height[good],
+        clipped=clipped[good],
+    )
+
+
+class _Groups:
+    """Groups of successive rows of a branch."""
+
+    def __init__(self, ridges: Ridges, rows: int) -> None:
+        first = np.flatnonzero(np.diff(ridges.branch, prepend=-1))
+        start = np.repeat(ridges.row[first], np.diff(np.append(first, len(ridges.row))))
+        key = ridges.branch * (int(ridges.row.max()) + 1) + (ridges.row - start) // rows
+        _, begins, self.of_row = np.unique(key, return_index=True, return_inverse=True)
+        self.branch = ridges.branch[begins]
+        self._branch_of_row, self._row = ridges.branch, ridges.row.astype(float)
+
+    def add(self, values: NDArray[np.float64] | Mask) -> Array:
+        """Return the sum over each group."""
+        return np.bincount(self.of_row, values, len(self.branch))
+
+    def smooth(self, centre: Array, score: Array, slope: Array, kept: Mask) -> Array:
+        """Return the centre in each row on straight pieces between the means of the groups."""
+        weight = np.where(kept, slope, 0.0)
+        total = self.add(weight)
+        over = 1.0 / np.maximum(total, 1e-12)
+        x = self.add(weight * centre + np.where(kept, score, 0.0)) * over
+        y = self.add(weight * self._row) * over
+        course = centre.copy()
+        for branch in np.unique(self.branch):
+            own, rows = (self.branch == branch) & (total > 0.0), self._branch_of_row == branch
+            if own.sum() > 1:
+                course[rows] = _interpolate(self._row[rows], y[own], x[own])
+        limit = np.abs(course - centre) < LARGEST_STEP_PX
+        return np.where(limit, course, centre)
+
+
+def _interpolate(at: Array, known: Array, values: Array) -> Array:
+    """Interpolate linearly, and beyond the ends with the slope of the last piece."""
+    slopes = np.diff(values) / np.diff(known)
+    piece = np.clip(np.searchsorted(known, at) - 1, 0, len(slopes) - 1)
+    return np.asarray(values[piece] + slopes[piece] * (at - known[piece]))
+
+
+def _mark_lit(score: Array, slope: Array, *, about_course: bool) -> Mask:
+    """Mark the rows that show the line, and those only that show it on the course of their neighbours."""
+    positive = slope[slope > 0.0]
+    lit = slope > LEAST_LIGHT * (median(positive) if len(positive) else 0.0)
+    if not (about_course and lit.any()):
+        return np.asarray(lit)
+    shift = np.abs(score / np.where(lit, slope, 1.0))
+    scale = MAD_TO_SIGMA * median(shift[lit])
+    return np.asarray(lit & (shift < max(OUTLIER_SIGMAS * scale, OUTLIER_FLOOR_PX)))
+
+
+def _scatter(groups: _Groups, blocks: _Groups, score: Array, weight: Array) -> Array:
+    """Return the variance of each group's centre, from blocks of its rows and of its neighbours'."""
+    sums = blocks.add(weight)
+    used = sums > 0.0
+    shift = blocks.add(np.where(weight > 0.0, score, 0.0)) / np.where(used, sums, 1.0)
+    owner = np.zeros(len(sums), np.int64)
+    owner[blocks.of_row] = groups.of_row
+    count = np.bincount(owner, used, len(groups.branch))
+    mean = np.bincount(owner, np.where(used, shift, 0.0), len(groups.branch)) / np.maximum(count, 1)
+    square = np.bincount(owner, np.where(used, (shift - mean[owner]) ** 2, 0.0), len(groups.branch))
+    around = np.ones(POOLED)
+    pooled = np.convolve(square, around, "same") / np.maximum(
+        np.convolve(np.maximum(count - 1.0, 0.0), around, "same"), 1.0
+    )
+    return np.asarray(pooled / np.maximum(count, 1.0))

@@ -1,0 +1,93 @@
+"""Plane and width of the laser light in the tool frame: fitted to scanned lines, recorded, compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from procedures.relocalization.errors import LINE_MOVED
+from ronna_hw.arrays import Array
+from ronna_hw.robust_scale import robust_sigma
+
+LARGEST_SHIFT_MM = 0.1  # of the plane at the tool centre point; a line is about 0.2 mm wide
+LARGEST_TURN_RAD = 0.005  # 0.1 mm at the ends of a line of 24 mm, twice over
+LARGEST_WIDENING = 0.3  # relative
+
+
+@dataclass(frozen=True)
+class LightPlane:
+    """Plane in the tool frame: unit normal (3,) and distance from the origin along it, mm.
+
+    `rms_mm` is the scatter of the points about it, `spread_mm` (2,) their standard deviations within it, along
+    the line and across: without spread across, the plane may turn about the line.
+    """
+
+    normal: Array
+    offset_mm: float
+    rms_mm: float
+    spread_mm: tuple[float, float]
+
+    def distance_mm(self, points_mm: Array) -> Array:
+        """Return signed distances (n,) of points (n, 3)."""
+        return np.asarray(points_mm @ self.normal - self.offset_mm)
+
+    def deviation_mm(self, covariance_mm2: Array) -> Array:
+        """Return the standard deviations (n,) of these distances, from covariances (n, 3, 3)."""
+        return np.sqrt(np.einsum("i,nij,j->n", self.normal, covariance_mm2, self.normal))
+
+
+@dataclass(frozen=True)
+class LineRecord:
+    """Plane and width of the light as recorded; `width_mm` is a standard deviation at the tool centre point."""
+
+    plane: LightPlane
+    width_mm: float
+    lines: int
+
+    def compare(self, other: LineRecord) -> tuple[float, float, float]:
+        """Return shift at the tool centre point in mm, turn in rad, and widening of another record."""
+        along = float(np.clip(self.plane.normal @ other.plane.normal, -1.0, 1.0))
+        sign = 1.0 if along >= 0.0 else -1.0
+        shift = sign * other.plane.offset_mm - self.plane.offset_mm
+        return shift, float(np.arccos(abs(along))), other.width_mm / self.width_mm - 1.0
+
+    def require_same(self, other: LineRecord) -> None:
+        """Raise STE-018 unless another record is the same within its limits."""
+        shift, turn, widening = self.compare(other)
+        words = (
+            (abs(shift), LARGEST_SHIFT_MM, "its plane has shifted at the tool centre point", "{:.3f} mm"),
+            (turn, LARGEST_TURN_RAD, "its plane has turned", "{:.4f} rad"),
+            (abs(widening), LARGEST_WIDENING, "its width has changed", "{:.0%}"),
+        )
+        for value, limit, what, form in words:
+            if value > limit:
+                raise LINE_MOVED(
+                    f"the laser line differs from its record: {what}",
+                    limit=form.format(limit),
+                    got=form.format(value),
+                )
+
+
+def fit_plane(points_mm: Array) -> LightPlane:
+    """Fit a plane to three or more points (n, 3). Points on a straight line leave its turn undetermined."""
+    middle = points_mm.mean(axis=0)
+    _, singular, axes = np.linalg.svd(points_mm - middle, full_matrices=False)
+    normal = axes[2] * (1.0 if axes[2][np.abs(axes[2]).argmax()] > 0.0 else -1.0)
+    spread = singular / np.sqrt(len(points_mm))
+    return LightPlane(
+        normal, float(normal @ middle), float(spread[2]), (float(spread[0]), float(spread[1]))
+    )
+
+
+def record_line(lines_mm: Sequence[Array], widths_mm: Sequence[float]) -> LineRecord:
+    """Fit the plane of the light to lines (n, 3) each, scanned at different distances, and keep the width.
+
+    Points further off than four times the usual scatter are left out.
+    """
+    points = np.concatenate(lines_mm)
+    plane = fit_plane(points)
+    distance = plane.distance_mm(points)
+    kept = np.abs(distance) <= 4.0 * robust_sigma(distance)
+    return LineRecord(fit_plane(points[kept]), float(np.median(widths_mm)), len(lines_mm))

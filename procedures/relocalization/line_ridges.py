@@ -1,0 +1,94 @@
+"""Coarse course of a laser line in an image: ridges of light, one branch for each piece that hangs together.
+
+At the edge of an ear or nose the line jumps, and one row shows it twice; hair leaves gaps. Every piece is a
+branch of its own. All is done on a reduced image, where speckle is averaged away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.relocalization.grey_image import GreyImage, halve_image, highest_grey, single_threaded
+from ronna_hw.arrays import Array
+
+HALVINGS = 2  # a line is some 15 px wide, and 4 px in the reduced image
+# The rest in pixels of the reduced image
+ACROSS_SIGMA, ALONG_SIGMA = 1.5, 3.0  # of the smoothing, against speckle
+WIDEST = 49  # of a line with its halo; what is wider is ambient light
+APART = 17  # two ridges in a row are no closer
+IN_SHADE_OF, SHADE_SHARE = 65, 0.2  # near a ridge, one with less than this share of its light is its halo
+SHORTEST = 6  # rows of a branch
+NOISE_FACTOR = 8.0
+CONTRAST_FLOOR = 0.015  # of the grey range
+NOISE_SAMPLING = 3  # every third pixel suffices
+LOW_PERCENTILE, MIDDLE_PERCENTILE = 16.0, 50.0  # one standard deviation apart; the line does not reach either
+
+
+@dataclass(frozen=True)
+class Ridges:
+    """Rough centre of the line in each row of the branches, in pixels of the whole image.
+
+    `row`, `column` and `branch` are (n,), in order of branches and of their rows, every row once a branch.
+    """
+
+    row: NDArray[np.int64]
+    column: Array
+    branch: NDArray[np.int64]
+    strongest_grey: float
+    limit_grey: float
+
+
+def find_ridges(light: GreyImage) -> Ridges:
+    """Find the branches of a line that crosses the rows of an image; there may be none."""
+    factor = 2**HALVINGS
+    small = halve_image(light, HALVINGS)
+    with single_threaded():
+        smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), sigmaX=ACROSS_SIGMA, sigmaY=ALONG_SIGMA)
+        ridge = cv2.morphologyEx(smooth, cv2.MORPH_TOPHAT, np.ones((1, WIDEST), np.uint8))
+        sample = ridge[::NOISE_SAMPLING, ::NOISE_SAMPLING]
+        low, middle = np.percentile(sample, (LOW_PERCENTILE, MIDDLE_PERCENTILE)).tolist()
+        limit = max(middle + NOISE_FACTOR * (middle - low), CONTRAST_FLOOR * highest_grey(light))
+        is_peak = (ridge >= cv2.dilate(ridge, np.ones((1, APART), np.uint8))) & (ridge > limit)
+        is_peak &= ridge > SHADE_SHARE * cv2.dilate(ridge, np.ones((1, IN_SHADE_OF), np.uint8))
+        joined = cv2.dilate(is_peak.astype(np.uint8), np.ones((3, 3), np.uint8))
+        _, labels = cv2.connectedComponents(joined, connectivity=8)
+    rows, columns = np.nonzero(is_peak)
+    branches = _trace_branches(rows, columns, labels[rows, columns], factor)
+    strongest = float(ridge.max())
+    if not branches:
+        none = np.zeros(0, np.int64)
+        return Ridges(none, np.zeros(0), none, strongest, limit)
+    row, column = (np.concatenate(each) for each in zip(*branches, strict=True))
+    branch = np.repeat(np.arange(len(branches)), [len(each[0]) for each in branches])
+    return Ridges(row, column, branch, strongest, limit)
+
+
+def runs_along_rows(light: GreyImage) -> bool:
+    """Return whether the line crosses more columns than rows, and the image should be transposed."""
+    small = halve_image(light, HALVINGS)
+    with single_threaded():
+        smooth = cv2.GaussianBlur(small, (0, 0), sigmaX=ACROSS_SIGMA)
+    limit = smooth.min() + 0.5 * (float(smooth.max()) - float(smooth.min()))
+    is_bright = smooth > limit
+    return bool(is_bright.any(axis=0).sum() > is_bright.any(axis=1).sum())
+
+
+def _trace_branches(
+    rows: NDArray[np.intp], columns: NDArray[np.intp], labels: NDArray[np.int32], factor: int
+) -> list[tuple[NDArray[np.int64], Array]]:
+    """Return rows and columns of the whole image for each label with enough rows."""
+    branches = []
+    for label in np.unique(labels):
+        own = labels == label
+        at, index = np.unique(rows[own], return_inverse=True)
+        if at[-1] - at[0] + 1 < SHORTEST:
+            continue
+        middle = np.bincount(index, columns[own]) / np.bincount(index)
+        whole = np.arange(factor * at[0], factor * (at[-1] + 1))
+        column = np.interp((whole + 0.5) / factor - 0.5, at, middle)
+        branches.append((whole.astype(np.int64), np.asarray(factor * (column + 0.5) - 0.5)))
+    return branches
