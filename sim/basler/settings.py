@@ -77,7 +77,7 @@ class Line(IntEnum):
 
 
 class LineSource(IntEnum):
-    """Entries of LineSource for the output. Timers are not simulated."""
+    """Entries of LineSource for the output; flash window and timer are not simulated."""
 
     EXPOSURE_ACTIVE = 0
     FRAME_TRIGGER_WAIT = 1
@@ -157,7 +157,7 @@ class CameraSettings:
     status_selector: int = 0
     line_selector: int = Line.LINE_1
     lines_inverted: tuple[int, int] = (0, 0)  # by line
-    line_source: int = LineSource.USER_OUTPUT
+    line_source: int = LineSource.EXPOSURE_ACTIVE  # as the manual of the family has it at power-on
     user_output_selector: int = 1
     user_output_value: int = 0
     action_device_key: int = 0

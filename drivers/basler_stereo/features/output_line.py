@@ -30,8 +30,10 @@ def prepare_projector(features: Features, projector: ProjectorOptions, camera: s
             raise NO_OUTPUT_LINE(
                 f"{projector.line} of the {camera} is an input", expected="an output line"
             ) from error
+    if not features.has("LineStatus"):
+        raise NO_OUTPUT_LINE(f"{projector.line} of the {camera} cannot be read back", expected="LineStatus")
     _find_source(features, projector, camera, on=True)  # before anything is lit
-    features.set_number("LineInverter", int(projector.inverted))
+    features.set_number("LineInverter", projector.inverted)  # the vendor's library takes no integer
     switch_projector(features, projector, camera, on=False)
 
 
@@ -46,7 +48,7 @@ def switch_projector(features: Features, projector: ProjectorOptions, camera: st
     if source != EXPOSURE:
         if features.has("UserOutputSelector"):
             features.choose("UserOutputSelector", next(iter(features.entries("UserOutputSelector"))))
-        features.set_number("UserOutputValue", int(lit_now))
+        features.set_number("UserOutputValue", lit_now)
     features.choose("LineSource", source)
     level, found_source = bool(features.number("LineStatus")), features.choice("LineSource")
     if found_source != source:

@@ -190,7 +190,7 @@ def _monotonic_parts(main: Array, used: NDArray[np.bool_]) -> Iterator[NDArray[n
 
 
 def _gaussian(off: Image, sigma_px: Array, peak: Array) -> Image:
-    scaled = off / sigma_px[:, None].astype(np.float32)
+    scaled: Image = np.divide(off, sigma_px[:, None], dtype=np.float32)
     scaled *= scaled
     scaled *= np.float32(-0.5)
     np.exp(scaled, out=scaled)

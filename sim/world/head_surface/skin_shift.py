@@ -130,10 +130,9 @@ class ShiftedHead:
     def normals(self, points_mm: Vectors) -> Vectors:
         """Return outward unit normals (n, 3) at points near the surface."""
         points = np.asarray(points_mm, dtype=float).reshape(-1, 3)
-        gradient = [
-            self.distance_mm(points + step) - self.distance_mm(points - step) for step in STEP_MM * np.eye(3)
-        ]
-        normals = np.column_stack(gradient)
+        steps = STEP_MM * np.vstack([np.eye(3), -np.eye(3)])  # one call costs little more than a sixth of it
+        away = self.distance_mm((points + steps[:, None]).reshape(-1, 3)).reshape(len(steps), -1)
+        normals = (away[:3] - away[3:]).T
         return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
     def cast(self, origins_mm: Vectors, directions: Vectors, furthest_mm: float) -> Array:
@@ -167,17 +166,24 @@ class ShiftedHead:
         """Return the displacement along the normal of a turn of the jaw about its joints."""
         head, marks = self.in_ct, self.in_ct.landmarks
         hinge = np.array([0.0, marks.ear[1], marks.ear[2] - JAW_HINGE_BELOW_MM])
-        own = points - head.centre_ct_mm - hinge
+        every_own = points - head.centre_ct_mm - hinge
         chin = np.array([0.0, marks.face_front_mm, marks.menton_mm]) - hinge
         turn = self.shift.jaw_mm / float(np.hypot(*chin[1:]))
+        mouth = marks.nose_base_mm + JAW_LINE_SHARE * (marks.menton_mm - marks.nose_base_mm) - hinge[2]
+        # The line from joints to mouth
+        every_below = mouth * np.clip(every_own[:, 1] / chin[1], 0.0, 1.0) - every_own[:, 2]
+        lower = np.flatnonzero(every_below > 0.0)
+        moved = np.zeros(len(points))
+        if not len(lower):
+            return moved
+        own, below, points = every_own[lower], every_below[lower], points[lower]
         # Opening turns the chin down and back, about the axis to the left.
         moved_y, moved_z = -turn * own[:, 2], turn * own[:, 1]
         normals = self.undisplaced.normals(points)
-        mouth = marks.nose_base_mm + JAW_LINE_SHARE * (marks.menton_mm - marks.nose_base_mm) - hinge[2]
-        below = mouth * np.clip(own[:, 1] / chin[1], 0.0, 1.0) - own[:, 2]  # the line from joints to mouth
         away = head.parts(*points.T).jaw.value
         follows = np.clip(below / JAW_EDGE_MM, 0.0, 1.0) * np.clip(1.5 - away / JAW_EDGE_MM, 0.0, 1.0)
-        return np.asarray(follows * (moved_y * normals[:, 1] + moved_z * normals[:, 2]))
+        moved[lower] = follows * (moved_y * normals[:, 1] + moved_z * normals[:, 2])
+        return moved
 
 
 def _with_face(head: ParametricHead, face: Face) -> ParametricHead:

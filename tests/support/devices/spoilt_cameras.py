@@ -25,6 +25,7 @@ from sim.basler.device import SimulatedCamera
 from sim.basler.faults import NoFaults
 from sim.basler.server import CameraPair
 from sim.basler.stream_channel import Block, StreamChannel
+from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
@@ -38,8 +39,8 @@ Mistake = Callable[[SimulatedCamera, Patch], None]
 class Stand:
     """Both cameras, served by a thread of this process."""
 
-    def __init__(self) -> None:
-        self.world = World.create(draw_scene("bench"), paced=True)
+    def __init__(self, scene: Scene | None = None) -> None:
+        self.world = World.create(scene or draw_scene("bench"), paced=True)
         self.pair = CameraPair(self.world)
         self.left, self.right = self.pair._cameras
         self._thread = threading.Thread(target=self.pair.serve)

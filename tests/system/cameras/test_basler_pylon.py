@@ -17,6 +17,7 @@ from conformance.stereo import SUITE
 from conformance.target import build_device_under_test
 from drivers.basler_stereo.errors import (
     BAD_OPTIONS,
+    NO_OUTPUT_LINE,
     NO_PYLON,
     OUT_OF_RANGE,
     WRONG_MODEL,
@@ -34,7 +35,13 @@ from ronna_hw.devices.readings import AreaOfInterest, Validity
 os.environ.setdefault("PYLON_CAMEMU", "2")  # read once, when the library is loaded
 AREA = AreaOfInterest(0, 0, 256, 128)  # the emulated sensors have 16 million pixels
 SERIALS = ("0815-0000", "0815-0001")
-EMULATION_LACKS = {"S05": "time stamps", "S11": "control privilege", "S12": "addresses", "S13": "addresses"}
+EMULATION_LACKS = {
+    "S05": "time stamps",
+    "S11": "control privilege",
+    "S12": "addresses",
+    "S13": "addresses",
+    "S19": "levels of lines",
+}
 pytestmark = pytest.mark.skipif(
     find_spec("pypylon") is None, reason="the optional extra pylon is not installed"
 )
@@ -64,6 +71,15 @@ def make_pair():
 
     yield make
     for pair in made:
+        pair.close()
+
+
+def test_a_line_that_cannot_be_read_back_switches_no_projector(make_pair):
+    for line, words in (("Out1", "no line Out1, only Line1"), ("Line2", "cannot be read back")):
+        pair = make_pair(projector={"line": line})
+        pair.connect()
+        with raises(NO_OUTPUT_LINE, match=words):
+            pair.configure()
         pair.close()
 
 

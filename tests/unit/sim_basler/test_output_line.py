@@ -8,11 +8,12 @@ from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.settings import Line, LineSource
 
 OUT = {"LineSelector": int(Line.OUT_1)}
+USER = {"LineSource": int(LineSource.USER_OUTPUT)}
 
 
 def test_the_output_follows_its_user_output_and_the_inverter(bench: Any) -> None:
     bench.take_control()
-    bench.put(**OUT, LineSource=int(LineSource.USER_OUTPUT), UserOutputValue=1)
+    bench.put(**OUT, **USER, UserOutputValue=1)
     assert (bench.get("LineStatus"), bench.camera.lights_exposure) == (1, True)
     bench.put(LineInverter=1)
     assert (bench.get("LineStatus"), bench.camera.lights_exposure) == (0, False)
@@ -20,7 +21,8 @@ def test_the_output_follows_its_user_output_and_the_inverter(bench: Any) -> None
 
 def test_an_input_has_no_source_and_a_level_of_its_own(bench: Any) -> None:
     bench.take_control()
-    bench.put(**OUT, UserOutputValue=1, LineSelector=int(Line.LINE_1))
+    bench.put(**OUT, **USER, UserOutputValue=1)
+    bench.put(LineSelector=int(Line.LINE_1))
     assert bench.set("LineSource", int(LineSource.EXPOSURE_ACTIVE)) == GevStatus.ACCESS_DENIED
     assert bench.get("LineStatus") == 0
 
@@ -41,8 +43,14 @@ def test_sources_that_end_with_the_trigger_light_no_exposure(bench: Any) -> None
 
 def test_the_line_keeps_its_level_when_control_is_released_and_loses_it_on_a_restart(bench: Any) -> None:
     bench.take_control()
-    bench.put(**OUT, UserOutputValue=1)
+    bench.put(**OUT, **USER, UserOutputValue=1)
     bench.camera.privilege.drop()
     assert bench.camera.lights_exposure  # nothing but a hardware interlock ends this light
     bench.camera.restart()
-    assert not bench.camera.lights_exposure
+    bench.take_control()
+    assert bench.get("UserOutputValue") == 0
+
+
+def test_at_power_on_the_output_follows_the_exposure(bench: Any) -> None:
+    assert bench.camera.settings.line_source == LineSource.EXPOSURE_ACTIVE
+    assert bench.camera.lights_exposure  # a projector is lit by every picture until the driver prepares it
