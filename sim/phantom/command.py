@@ -65,8 +65,9 @@ def phantom(
         typer.Option(
             help="Spheres on individual screws, on the x-shaped frame, or on the close-set frame of the "
             "studies; with a family, --markers beyond four are on screws. Or adhesive rings on the skin, "
-            "which only the CT shows, and no spheres. `surface` and `mixed`: a head with a face, without spheres "
-            "or with 1 to 3; --family then names what is around it: free, resting, folded, intubated, clamped."
+            "which only the CT shows, and no spheres. `surface` and `mixed`: a head with a face, without "
+            "spheres or with 1 to 3; --family then names what is around it: free, resting, folded, "
+            "intubated, clamped."
         ),
     ] = Fiducials.FREE,
     arm: Annotated[

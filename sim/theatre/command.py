@@ -32,7 +32,11 @@ ControlOption = Annotated[str, _CONTROL_OPTION]
 ControlIfGiven = Annotated[str | None, _CONTROL_OPTION]
 ArmOption = Annotated[ArmChoice, typer.Option(case_sensitive=False, help="Arm of a named scene.")]
 FiducialsOption = Annotated[
-    Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
+    Carrier,
+    typer.Option(
+        help="Spheres on screws or on the x-shaped frame; or the skin of a head with a face, without spheres "
+        "(surface) or with 1 to 3 (mixed)."
+    ),
 ]
 
 

@@ -38,7 +38,7 @@ class FaceFamily:
 
 FACE_FAMILIES = {
     "free": FaceFamily("a head in a trough that touches nothing"),
-    "resting": FaceFamily("a cushion against the back of the head", trough=False, cushion=True),
+    "resting": FaceFamily("a cushion under the back of the head", trough=False, cushion=True),
     "folded": FaceFamily(
         "ears folded by the support, the left more than the right",
         trough=False,

@@ -99,10 +99,11 @@ class FacedLayers:
 
     def _hair(self, x: Values, y: Values, z: Values, depth: Values) -> Values:
         """Return what hair adds: thinner with the distance from the skin."""
-        points = np.column_stack([x, y, z])
+        points = np.column_stack([x, y, z]).astype(float)
         roots = np.clip(above_hair_line_mm(self._head, points) / EDGE_MM, 0.0, 1.0).astype(np.float32)
         share = np.clip(1.0 + depth / np.float32(self._head.face.hair_mm), 0.0, 1.0)
-        return np.float32(HAIR_HU) * roots * share * (np.float32(1.0) - self._inside.at(depth))
+        added: Values = np.float32(HAIR_HU) * roots * share * (np.float32(1.0) - self._inside.at(depth))
+        return added
 
     def half_widths(self, z_mm: float, margin_mm: float) -> tuple[float, float] | None:
         """Return the head's half extents in x and y at `z_mm` plus a margin, or None outside."""

@@ -48,8 +48,8 @@ class HeadWithBareBone:
         # Through the opening a ray meets bone, or the open edge of the scalp.
         start, end = on_skin[through], np.full(len(through), furthest_mm)
         found = on_skin.copy()
-        rays = (np.asarray(one)[through] for one in (origins_mm, directions))
-        found[through] = march(self.distance_mm, *rays, end, start)
+        origins, along = (np.asarray(one)[through] for one in (origins_mm, directions))
+        found[through] = march(self.distance_mm, origins, along, end, start)
         return found
 
     def _inside_mm(self, points_mm: Vectors) -> Array:

@@ -1,7 +1,4 @@
-"""Coarse grid of distances, with which rays and painters skip empty space.
-
-Its error is bounded: a trilinear value misses by less than `MISSES_MM`.
-"""
+"""Grids of distances, with which rays and painters skip empty space."""
 
 from __future__ import annotations
 
@@ -14,10 +11,14 @@ from numpy.typing import NDArray
 from sim.world.head_surface.blending import Values
 from sim.world.rigid import Array, Point, Vectors
 
-SPACING_MM = 4.0
-MISSES_MM = 2.5  # at thin parts and in creases
+SPACING_MM, MISSES_MM = (
+    4.0,
+    2.5,
+)  # of the coarse grid; most that its values miss, at thin parts and in creases
+FINE_SPACING_MM, FINE_MISSES_MM = 2.0, 0.6
+BAND_MM = 6.0  # to either side of the surface, where the fine grid is exact at its nodes
 MOST_STEPS = 60
-LEAST_STEP_MM = 0.5
+LEAST_STEP_MM = 0.25
 
 Sampled = Callable[[Values, Values, Values], Values]
 
@@ -29,6 +30,8 @@ class DistanceGrid:
     low_mm: Array
     high_mm: Array
     values: NDArray[np.float32]
+    spacing_mm: float = SPACING_MM
+    misses_mm: float = MISSES_MM
 
     @classmethod
     def sample(cls, distance: Sampled, low_mm: Point, high_mm: Point) -> DistanceGrid:
@@ -44,10 +47,23 @@ class DistanceGrid:
         high = np.array([one[-1] for one in axes], dtype=float)
         return cls(np.array(low_mm, dtype=float), high, np.ascontiguousarray(values, dtype=np.float32))
 
+    def refine(self, distance: Sampled) -> DistanceGrid:
+        """Return a finer grid of the same distance, exact at its nodes near the surface."""
+        values = self.values
+        for axis in range(3):
+            values = _halve_spacing(values, axis)
+        near = np.nonzero(np.abs(values) < BAND_MM)
+        places = [
+            (low + FINE_SPACING_MM * rows).astype(np.float32)
+            for low, rows in zip(self.low_mm, near, strict=True)
+        ]
+        values[near] = distance(*places)
+        return DistanceGrid(self.low_mm, self.high_mm, values, FINE_SPACING_MM, FINE_MISSES_MM)
+
     def at(self, points_mm: Vectors) -> Array:
         """Return trilinear distances (n,), those of the nearest place of the grid for points outside."""
         shape = np.array(self.values.shape)
-        place = np.clip((points_mm - self.low_mm) / SPACING_MM, 0.0, shape - 1.000001)
+        place = np.clip((points_mm - self.low_mm) / self.spacing_mm, 0.0, shape - 1.000001)
         first = place.astype(np.intp)
         x, y, z = (place - first).T
         flat = self.values.ravel()
@@ -63,7 +79,7 @@ class DistanceGrid:
     def nearest(self, x: Values, y: Values, z: Values) -> NDArray[np.float32]:
         """Return the distances at the nodes nearest to points of arrays that broadcast together."""
         places = [
-            np.clip(np.rint((value - low) * (1.0 / SPACING_MM)), 0, count - 1).astype(np.intp)
+            np.clip(np.rint((value - low) * (1.0 / self.spacing_mm)), 0, count - 1).astype(np.intp)
             for value, low, count in zip((x, y, z), self.low_mm.tolist(), self.values.shape, strict=True)
         ]
         return np.asarray(self.values[tuple(np.broadcast_arrays(*places))])
@@ -86,7 +102,9 @@ class DistanceGrid:
             if not len(active):
                 break
             away = (
-                self.at(origins[active] + along[active, None] * directions[active]) - MISSES_MM - outside_mm
+                self.at(origins[active] + along[active, None] * directions[active])
+                - self.misses_mm
+                - outside_mm
             )
             active, away = active[away > LEAST_STEP_MM], away[away > LEAST_STEP_MM]
             along[active] += away
@@ -94,3 +112,11 @@ class DistanceGrid:
             along[active[gone]] = np.inf
             active = active[~gone]
         return along, np.minimum(leave, furthest_mm)
+
+
+def _halve_spacing(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Return values with the mean of each two neighbours between them."""
+    along = np.moveaxis(values, axis, 0)
+    fine = np.empty((2 * len(along) - 1, *along.shape[1:]), dtype=np.float32)
+    fine[::2], fine[1::2] = along, 0.5 * (along[1:] + along[:-1])
+    return np.ascontiguousarray(np.moveaxis(fine, 0, axis))

@@ -108,10 +108,6 @@ def draw_measures(generator: np.random.Generator) -> Measures:
     measures = {name: draw(spread) for name, spread in MEASURES.items()}
     shaved = bool(generator.uniform() < SHAVED)
     thickness, share = (round(float(generator.uniform(*one)), DIGITS) for one in (HAIR_MM, HAIR_SHARE))
-    face = Face(
-        **measures,
-        hair_mm=0.0 if shaved else thickness,
-        hair_share=0.0 if shaved else share,
-        hair_seed=int(generator.integers(2**31)),
-    )
+    hair: dict[str, float] = {} if shaved else {"hair_mm": thickness, "hair_share": share}
+    face = Face.model_validate(measures | hair | {"hair_seed": int(generator.integers(2**31))})
     return Measures((0.5 * breadth, 0.5 * length, height), face)

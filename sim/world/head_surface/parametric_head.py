@@ -81,14 +81,22 @@ class ParametricHead:
 
     def cast(self, origins_mm: Vectors, directions: Vectors, furthest_mm: float) -> Array:
         """Return the distance (n,) along unit directions to the first hit; NaN without one."""
-        start, end = self.grid.approach(origins_mm, directions, furthest_mm)
+        start, end = self.fine_grid.approach(origins_mm, directions, furthest_mm)
         return march(self.distance_mm, origins_mm, directions, end, start)
 
     @cached_property
     def grid(self) -> DistanceGrid:
-        """Coarse distances, with which rays and painters skip empty space."""
+        """Coarse distances, with which painters skip empty space."""
         low, high = self.bounds_mm
-        return DistanceGrid.sample(lambda x, y, z: self.field(x, y, z).cautious(), low, high)
+        return DistanceGrid.sample(self._cautious, low, high)
+
+    @cached_property
+    def fine_grid(self) -> DistanceGrid:
+        """Finer distances, with which rays come close to the surface."""
+        return self.grid.refine(self._cautious)
+
+    def _cautious(self, x: Values, y: Values, z: Values) -> Values:
+        return self.field(x, y, z).cautious()
 
     @property
     def extent_mm(self) -> tuple[Point, Point]:

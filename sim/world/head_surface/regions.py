@@ -58,7 +58,7 @@ def regions(head: ParametricHead, points_mm: Vectors) -> NDArray[np.str_]:
     }
     names = np.array([str(name) for name in bodies], dtype=f"<U{max(map(len, Region))}")
     nearest = np.array([body.value for body in bodies.values()])
-    found = names[np.argmin(nearest, axis=0)]
+    found: NDArray[np.str_] = names[np.argmin(nearest, axis=0)]
     found[(parts.eye.value < EYE_MM) & (found != Region.NOSE)] = Region.EYE
     _, b, c = head.semi_axes_mm
     on_cranium = found == Region.VAULT

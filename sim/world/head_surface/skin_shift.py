@@ -5,12 +5,14 @@ Displacements are along the outward normal, positive outwards, in the CT frame.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from ronna_hw.calibration import Strict
+from sim.world.head_surface.blending import Field as Body
 from sim.world.head_surface.face import Face
 from sim.world.head_surface.parametric_head import ParametricHead
 from sim.world.head_surface.smooth_field import smooth_field
@@ -107,44 +109,58 @@ class ShiftedHead:
         face = head.face
         if shift.ears_unfold:
             face = face.model_copy(update={"ear_folds": Face().ear_folds})
-        self.undisplaced = head if face == head.face else _with_face(head, face)
+        self.undisplaced = head
+        if face != head.face:
+            self.undisplaced = ParametricHead(head.centre_ct_mm, head.semi_axes_mm, face)
 
     def shift_mm(self, points_mm: Vectors) -> Array:
         """Return the displacement (n,) of the skin along its outward normal at points (n, 3) near it."""
+        return self._look(points_mm)[1]
+
+    def distance_mm(self, points_mm: Vectors) -> Array:
+        """Return the distance (n,) of points (n, 3), positive outside; exact near the surface."""
+        distance, shift = self._look(points_mm)
+        return np.asarray(distance - shift)
+
+    def _look(self, points_mm: Vectors) -> tuple[Array, Array]:
+        """Return distance from the undisplaced skin, and displacement."""
         points, shift = np.asarray(points_mm, dtype=float).reshape(-1, 3), self.shift
+        x, y, z = np.ascontiguousarray(points.T)
+        parts = self.undisplaced.parts(x, y, z)
+        skin = self.undisplaced.mirrored(x, parts.whole())
         moved = np.full(len(points), shift.offset_mm)
         if shift.field_mm:
             field = smooth_field(shift.seed, "skin shift", shift.field_length_mm, shift.field_order)
             moved += shift.field_mm * field.at(points)
-        for size_mm, radius_mm, centre in self._events():
+        for size_mm, radius_mm, centre in self._events:
             squared = np.square(points - centre).sum(axis=1)
             moved += size_mm * np.exp(-0.5 * squared / radius_mm**2)
         if shift.jaw_mm:
-            moved += self._jaw_mm(points)
-        return moved
-
-    def distance_mm(self, points_mm: Vectors) -> Array:
-        """Return the distance (n,) of points (n, 3), positive outside; exact near the surface."""
-        return np.asarray(self.undisplaced.distance_mm(points_mm) - self.shift_mm(points_mm))
+            moved += self._jaw_mm(points, parts.jaw, skin)
+        return np.asarray(skin.distance()), moved
 
     def normals(self, points_mm: Vectors) -> Vectors:
         """Return outward unit normals (n, 3) at points near the surface."""
         points = np.asarray(points_mm, dtype=float).reshape(-1, 3)
-        steps = STEP_MM * np.vstack([np.eye(3), -np.eye(3)])  # one call costs little more than a sixth of it
-        away = self.distance_mm((points + steps[:, None]).reshape(-1, 3)).reshape(len(steps), -1)
-        normals = (away[:3] - away[3:]).T
+        gradient = [
+            self.distance_mm(points + step) - self.distance_mm(points - step) for step in STEP_MM * np.eye(3)
+        ]
+        normals = np.column_stack(gradient)
         return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
     def cast(self, origins_mm: Vectors, directions: Vectors, furthest_mm: float) -> Array:
         """Return the distance (n,) along unit directions to the first hit; NaN without one."""
-        start, end = self.undisplaced.grid.approach(origins_mm, directions, furthest_mm, self._largest_mm())
+        start, end = self.undisplaced.fine_grid.approach(
+            origins_mm, directions, furthest_mm, self._largest_mm()
+        )
         return march(self.distance_mm, origins_mm, directions, end, start)
 
     def _largest_mm(self) -> float:
         shift = self.shift
-        events = sum(max(size_mm, 0.0) for size_mm, _, _ in self._events())
+        events = sum(max(size_mm, 0.0) for size_mm, _, _ in self._events)
         return max(shift.offset_mm, 0.0) + SURE_SIGMAS * shift.field_mm + events + abs(shift.jaw_mm)
 
+    @cached_property
     def _events(self) -> list[tuple[float, float, Vector]]:
         """Return size, radius and centre of each local displacement."""
         shift, head = self.shift, self.in_ct
@@ -162,29 +178,18 @@ class ShiftedHead:
         reach = np.linalg.norm(np.divide(direction, self.in_ct.semi_axes_mm))
         return np.asarray(np.divide(direction, reach) + self.in_ct.centre_ct_mm)
 
-    def _jaw_mm(self, points: Vectors) -> Array:
+    def _jaw_mm(self, points: Vectors, jaw: Body, skin: Body) -> Array:
         """Return the displacement along the normal of a turn of the jaw about its joints."""
         head, marks = self.in_ct, self.in_ct.landmarks
         hinge = np.array([0.0, marks.ear[1], marks.ear[2] - JAW_HINGE_BELOW_MM])
-        every_own = points - head.centre_ct_mm - hinge
+        own = points - head.centre_ct_mm - hinge
         chin = np.array([0.0, marks.face_front_mm, marks.menton_mm]) - hinge
         turn = self.shift.jaw_mm / float(np.hypot(*chin[1:]))
-        mouth = marks.nose_base_mm + JAW_LINE_SHARE * (marks.menton_mm - marks.nose_base_mm) - hinge[2]
-        # The line from joints to mouth
-        every_below = mouth * np.clip(every_own[:, 1] / chin[1], 0.0, 1.0) - every_own[:, 2]
-        lower = np.flatnonzero(every_below > 0.0)
-        moved = np.zeros(len(points))
-        if not len(lower):
-            return moved
-        own, below, points = every_own[lower], every_below[lower], points[lower]
         # Opening turns the chin down and back, about the axis to the left.
         moved_y, moved_z = -turn * own[:, 2], turn * own[:, 1]
-        normals = self.undisplaced.normals(points)
-        away = head.parts(*points.T).jaw.value
+        normals = skin.normals()
+        mouth = marks.nose_base_mm + JAW_LINE_SHARE * (marks.menton_mm - marks.nose_base_mm) - hinge[2]
+        below = mouth * np.clip(own[:, 1] / chin[1], 0.0, 1.0) - own[:, 2]  # the line from joints to mouth
+        away = np.asarray(jaw.value)
         follows = np.clip(below / JAW_EDGE_MM, 0.0, 1.0) * np.clip(1.5 - away / JAW_EDGE_MM, 0.0, 1.0)
-        moved[lower] = follows * (moved_y * normals[:, 1] + moved_z * normals[:, 2])
-        return moved
-
-
-def _with_face(head: ParametricHead, face: Face) -> ParametricHead:
-    return ParametricHead(head.centre_ct_mm, head.semi_axes_mm, face)
+        return np.asarray(follows * (moved_y * normals[:, 1] + moved_z * normals[:, 2]))

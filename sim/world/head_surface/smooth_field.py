@@ -13,7 +13,7 @@ import numpy as np
 from sim.world.noise import noise
 from sim.world.rigid import Array, Vectors
 
-WAVES = 192
+WAVES = 128
 
 
 class SmoothField:

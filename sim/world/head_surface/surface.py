@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim.world.rigid import Array, Vectors
 
 LEAST_STEP_MM = 1.0  # so that a ray along the surface goes on; a shorter way through the head may be missed
-MOST_STEPS = 40
+MOST_STEPS, SINGLE_STEPS, STEPS_AT_ONCE = 24, 4, 16
 TINY = 1e-12
 REFINEMENTS = 12  # of a hit between the last place outside and the first inside
 CLOSE_MM = 1e-4  # of a hit to the surface
@@ -56,29 +56,54 @@ def march(
     A ray that starts inside meets nothing.
     """
     origins, directions = np.asarray(origins_mm, dtype=float), np.asarray(directions, dtype=float)
-    along = np.zeros(len(origins)) if start_mm is None else np.array(start_mm, dtype=float)
-    furthest = np.broadcast_to(furthest_mm, along.shape)
-    active = np.flatnonzero(along <= furthest)
-    outside, before = along.copy(), np.full(len(origins), np.nan)  # last place outside and distance there
-    inside, beyond = np.full(len(origins), np.nan), np.full(len(origins), np.nan)
-    for _ in range(MOST_STEPS):
-        if not len(active):
+    start = np.zeros(len(origins)) if start_mm is None else np.asarray(start_mm, dtype=float)
+    bracket = _Bracket(start, np.broadcast_to(furthest_mm, start.shape))
+
+    def at(rows: NDArray[np.intp], along: Array) -> Array:
+        return distance_mm(origins[rows] + along[:, None] * directions[rows])
+
+    # Most rays go straight to the surface. The rest, along it, would take many short steps: several at once.
+    for step in range(MOST_STEPS):
+        if not len(bracket.active):
             break
-        away = distance_mm(origins[active] + along[active, None] * directions[active])
-        met = away <= 0.0
-        inside[active[met]], beyond[active[met]] = along[active[met]], away[met]
-        active, away = active[~met], away[~met]
-        outside[active], before[active] = along[active], away
-        along[active] += np.maximum(away, LEAST_STEP_MM)
-        active = active[along[active] <= furthest[active]]
+        bracket.look(at, 1 if step < SINGLE_STEPS else STEPS_AT_ONCE)
+    found = np.flatnonzero(np.isfinite(bracket.below) & np.isfinite(bracket.above))
     hit = np.full(len(origins), np.nan)
-    found = np.flatnonzero(np.isfinite(beyond) & np.isfinite(before))
     hit[found] = _between(
-        lambda rows, at: distance_mm(origins[found[rows]] + at[:, None] * directions[found[rows]]),
-        (outside[found], before[found]),
-        (inside[found], beyond[found]),
+        lambda rows, along: at(found[rows], along),
+        (bracket.outside[found], bracket.above[found]),
+        (bracket.inside[found], bracket.below[found]),
     )
     return hit
+
+
+class _Bracket:
+    """For each ray the last place outside and the first inside, with the distances there; NaN until found."""
+
+    def __init__(self, start: Array, end: Array) -> None:
+        self.outside, self.inside = start.copy(), np.full(len(start), np.nan)
+        self.above, self.below = np.full(len(start), np.nan), np.full(len(start), np.nan)
+        self._along, self._end = start.copy(), end
+        self.active = np.flatnonzero(start <= end)
+
+    def look(self, at: Callable[[NDArray[np.intp], Array], Array], places: int) -> None:
+        """Look at so many places of each active ray, a least step apart, and go on by the last distance."""
+        rows = self.active
+        along = self._along[rows, None] + LEAST_STEP_MM * np.arange(places)
+        away = at(np.repeat(rows, places), along.ravel()).reshape(along.shape)
+        inside = away <= 0.0
+        met, first = inside.any(axis=1), inside.argmax(axis=1)
+        last = np.where(met, first - 1, places - 1)  # place outside, -1 if there is none
+        own = np.arange(len(rows))
+        some = last >= 0
+        self.outside[rows[some]] = along[own[some], last[some]]
+        self.above[rows[some]] = away[own[some], last[some]]
+        self.inside[rows[met]], self.below[rows[met]] = (
+            along[own[met], first[met]],
+            away[own[met], first[met]],
+        )
+        self._along[rows] = along[:, -1] + np.maximum(away[:, -1], LEAST_STEP_MM)
+        self.active = rows[~met & (self._along[rows] <= self._end[rows])]
 
 
 def _between(
@@ -89,17 +114,24 @@ def _between(
     """Return the roots between places with their distances, by false position after Illinois."""
     (low, above), (high, below) = outside, inside
     found = high.copy()
-    rows = np.arange(len(low))
+    rows: NDArray[np.intp] = np.arange(len(low))
+    before = np.zeros(len(low))  # sign of the distance at the last place
     for _ in range(REFINEMENTS):
         middle = low + (high - low) * above / np.maximum(above - below, TINY)
         found[rows] = middle
         away = distance_mm(rows, middle)
         is_outside = away > 0.0
-        # The end that stays counts half, so that it does not stay for good.
+        # An end that stays for the second time counts half, so that it does not stay for good.
+        again = np.where(np.sign(away) == before, 0.5, 1.0)
         low, high = np.where(is_outside, middle, low), np.where(is_outside, high, middle)
-        above, below = np.where(is_outside, away, 0.5 * above), np.where(is_outside, 0.5 * below, away)
+        above, below = (
+            np.where(is_outside, away, again * above),
+            np.where(is_outside, again * below, away),
+        )
         going = np.abs(away) > CLOSE_MM
-        rows, low, high, above, below = (one[going] for one in (rows, low, high, above, below))
+        before = np.sign(away)[going]
+        low, high, above, below = (one[going] for one in (low, high, above, below))
+        rows = rows[going]
         if not len(rows):
             break
     return found

@@ -182,6 +182,8 @@ class Head(Strict):
         there = [one for one in self.fiducials if not one.missing]
         bases = [one.base_in_theatre or one.number for one in there]
         unknown = sorted(set(bases) - {one.number for one in self.fiducials})
+        if not self.fiducials and self.face is None:
+            raise ValueError("head.fiducials needs a sphere: the head has no face to register instead")
         if not there and self.face is None:
             raise ValueError(
                 "at least one sphere must be present in the theatre, or the head must have a face"

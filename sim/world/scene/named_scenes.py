@@ -86,7 +86,7 @@ def draw_scene(
     usual = MARKERS_ON_SKIN[fiducials][-1] if on_skin else 3 if mini else 5
     count = usual if markers is None else markers
     if on_skin and count not in MARKERS_ON_SKIN[fiducials]:
-        fitting = " or ".join(map(str, sorted(MARKERS_ON_SKIN[fiducials])))
+        fitting = " or ".join(str(one) for one in sorted(MARKERS_ON_SKIN[fiducials]) if one) or "no"
         raise BAD_SCENE(f"with fiducials {fiducials} a head carries {fitting} markers, not {count}")
     generator = scene_generator(seed)
     design = CHOSEN[arm]

@@ -10,7 +10,7 @@ from sim.world.head_surface.bare_bone import HeadWithBareBone
 from sim.world.head_surface.ellipsoidal_head import EllipsoidalHead
 from sim.world.head_surface.face import Face
 from sim.world.head_surface.parametric_head import ParametricHead
-from sim.world.head_surface.skin_shift import ShiftedHead
+from sim.world.head_surface.skin_shift import ShiftedHead, SkinShift
 from sim.world.head_surface.skull_surface import SkullSurface
 from sim.world.head_surface.surface import HeadSurface
 from sim.world.rigid import Point, Vector
@@ -37,7 +37,7 @@ def skin_in_theatre(head: Head) -> HeadSurface:
     faced = head_with_face(head)
     if faced is None:
         return skin_in_ct(head)
-    skin = faced if head.skin_shift.is_none else ShiftedHead(faced, head.skin_shift)
+    skin = faced if head.skin_shift.is_none else _shift(faced, head.skin_shift)
     return skin if head.bare_bone is None else HeadWithBareBone(skin, SkullSurface(faced), head.bare_bone)
 
 
@@ -81,6 +81,11 @@ def head_extent(head: Head) -> tuple[Vector, Vector]:
         return np.array(faced.extent_mm[0]), np.array(faced.extent_mm[1])
     centre, axes = np.array(head.centre_ct_mm), np.array(head.semi_axes_mm)
     return centre - axes, centre + axes
+
+
+@lru_cache(maxsize=8)  # with the distances that casting rays prepares
+def _shift(head: ParametricHead, shift: SkinShift) -> ShiftedHead:
+    return ShiftedHead(head, shift)
 
 
 @lru_cache(maxsize=8)
