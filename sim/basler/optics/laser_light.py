@@ -52,7 +52,17 @@ class ImageRun:
 
 def project_runs(runs: Sequence[LineRun], lens: Lens, area: Area) -> tuple[ImageRun, ...]:
     """Return the runs in the image, within an area of the sensor."""
-    return tuple(part for run in runs for part in _project(run, lens, area))
+    if not runs:
+        return ()
+    ends = np.cumsum([len(run.points_mm) for run in runs])[:-1]
+    points = np.concatenate([run.points_mm for run in runs])  # at once: hair makes dozens of short runs
+    pixels = lens.project(points)
+    shifts = lens.project(points + np.concatenate([run.across_mm for run in runs])) - pixels
+    blurs = lens.blur_sigmas_px(points[:, 2])
+    parts = (np.split(values, ends) for values in (pixels, shifts, blurs))
+    return tuple(
+        part for run, *image in zip(runs, *parts, strict=True) for part in _cross_pixels(run, *image, area)
+    )
 
 
 def add_core(canvas: PixelCanvas, runs: Sequence[ImageRun], speckle: Speckle) -> None:
@@ -68,9 +78,13 @@ def add_core(canvas: PixelCanvas, runs: Sequence[ImageRun], speckle: Speckle) ->
         light = _gaussian(off, run.core_px, run.core) * grain
         if run.near.any():
             light += _gaussian(off, run.near_px, run.near) * (1.0 + NEAR_SPECKLE * (grain - 1.0))
-        x, y = columns - canvas.area.x, rows - canvas.area.y
-        inside = (x >= 0) & (x < canvas.area.width) & (y >= 0) & (y < canvas.area.height)
-        canvas.light[y[inside], x[inside]] += light[inside]
+        area = canvas.area
+        x, y = columns - area.x, rows - area.y
+        place, flat = y * area.width + x, canvas.light.reshape(-1)
+        inside = (x >= 0) & (x < area.width) & (y >= 0) & (y < area.height)
+        if not inside.all():
+            place, light = place[inside], light[inside]
+        flat[place] += light
 
 
 def add_glow(canvas: PixelCanvas, runs: Sequence[ImageRun]) -> None:
@@ -114,16 +128,16 @@ def _add_enlarged(light: Image, coarse: Image) -> None:
         rows[use] += wide[use] * (1 - below) + wide[use + 1] * below
 
 
-def _project(run: LineRun, lens: Lens, area: Area) -> Iterator[ImageRun]:
+def _cross_pixels(
+    run: LineRun, pixels: Array, shift: Array, blur_px: Array, area: Area
+) -> Iterator[ImageRun]:
     """Yield parts along the rows and along the columns; on a slant both share the light."""
-    pixels = lens.project(run.points_mm)
-    shift = lens.project(run.points_mm + run.across_mm) - pixels
     along = np.gradient(pixels, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
     upright = np.clip((np.square(along[:, 1]) - SLANT_BEGINS) / (1.0 - 2.0 * SLANT_BEGINS), 0.0, 1.0)
     widths = _Widths(
         np.abs(shift[:, 0] * along[:, 1] - shift[:, 1] * along[:, 0]),
-        lens.blur_sigmas_px(run.points_mm[:, 2]),
+        blur_px,
         np.linalg.norm(shift, axis=1) / np.linalg.norm(run.across_mm, axis=1),
     )
     for across_rows, weight in ((True, upright), (False, 1.0 - upright)):

@@ -20,7 +20,7 @@ from sim.world.head_surface.surface import HeadSurface
 from sim.world.rigid import Array, Matrix, Vector, Vectors, apply, inverse
 from sim.world.scene.line_projector import LineProjector
 
-RAYS = 240  # of the fan: 0.2 mm apart on the skin; a chord of a nose's tip is 1 um off its arc
+RAYS = 180  # of the fan: 0.3 mm apart on the skin; a chord of a nose's tip is 2 um off its arc
 VIEW_MM = 80.0  # before and behind the projector's focus: what lies there may be in a picture
 VIEW_STEPS = 5
 VIEW_MARGIN_PX = 200  # around the area: light that spreads into it
@@ -28,7 +28,7 @@ FURTHEST_MM = 600.0
 LIFT_MM = 0.8  # over the surface, from where it is asked whether anything hides a point from a camera
 # Places on the way to the camera where skin would hide a point; what is thinner than their spacing may not.
 SIGHT_MM = np.array([0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 25.0, 30.0, 36.0, 43.0, 51.0, 60.0, 70.0])
-SIGHT_EVERY = 3  # ray: shadows end within 0.3 mm of their place
+SIGHT_EVERY = 2  # ray: shadows end within 0.3 mm of their place
 JUMP_MM = 1.5  # between neighbouring rays: another part of the surface
 SIGMAS_OF_WIDTH = 4.0  # of a Gaussian beam between the places of 1/e²
 LEAST_INCLINATION = 0.05  # sine between surface and sheet: a line that runs along the sheet has no width
@@ -137,12 +137,12 @@ def trace_line(
         normals = body.surface.normals(points)
         line = _SurfaceLine(points, normals, directions[on], away_mm[on], on)
         hidden = hair.hides(points) if hair is not None and number == 0 else np.zeros(len(on), dtype=bool)
-        layers = [(line, body.finish, ~hidden)]
-        if hair is not None and hidden.any():
-            layers.append((line.raised(hair.thickness_mm(points), seed), HAIR, hidden))
+        seen = _is_seen(bodies, eye, line)
+        layers = [(line, body.finish, seen & ~hidden)]
+        if hair is not None and hidden.any():  # as well seen as the skin under it
+            layers.append((line.raised(hair.thickness_mm(points), seed), HAIR, seen & hidden))
         for layer, finish, bright in layers:
-            seen = bright & _is_seen(bodies, eye, layer)
-            runs.extend(_runs(layer, finish, seen, projector, sheet, eye, camera_from_ct, seed))
+            runs.extend(_runs(layer, finish, bright, projector, sheet, eye, camera_from_ct, seed))
     return tuple(runs)
 
 
@@ -226,9 +226,6 @@ def _runs(
     light = finish.albedo * facing * _electrons_per_us(projector, line.away_mm, sigma_mm)
     gloss = light * finish.gloss * _mirrored(line, eye, seed) if finish.gloss else np.zeros(len(light))
     points = apply(camera_from_ct, line.points)
-    if finish is HAIR:
-        light = light * seen  # strands are as short as the gaps between them
-        seen = np.ones_like(seen)
     index = np.flatnonzero(seen)
     jumps = (np.diff(line.ray[index]) > 1) | (np.abs(np.diff(line.away_mm[index])) > JUMP_MM)
     for part in np.split(index, np.flatnonzero(jumps) + 1):

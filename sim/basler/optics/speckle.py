@@ -15,7 +15,7 @@ from ronna_hw.wire.gige_vision import PIXEL_PITCH_UM
 from sim.basler.optics.canvas import EFFECTIVE_F_NUMBER, Image
 from sim.world.noise import noise
 
-TILE_PX = 256  # a pattern repeats beyond: it is wider than a line
+TILE_PX = 256  # a pattern repeats beyond: it is wider than a line; a power of two
 OVERSAMPLED = 2  # a pixel integrates over its area
 PATTERNS = 8  # independent ones in depolarised light of a laser diode (U): contrast 0.35
 WAVELENGTH_UM = 0.85
@@ -32,7 +32,8 @@ class Speckle:
 
     def at(self, columns: NDArray[np.intp], rows: NDArray[np.intp]) -> Image:
         """Return the factors at pixels of the sensor."""
-        return np.asarray(self._tile[(rows + self._down) % TILE_PX, (columns + self._right) % TILE_PX])
+        place = ((rows + self._down) & (TILE_PX - 1)) * TILE_PX + ((columns + self._right) & (TILE_PX - 1))
+        return np.asarray(self._tile.ravel().take(place))
 
 
 @lru_cache(maxsize=4)
