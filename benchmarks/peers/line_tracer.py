@@ -8,9 +8,10 @@ view: for both cameras the light of the lamps of the room, of the line on the su
 mottled colour), and with `--deep-samples` of the line scattered inside, besides what is true: the line in
 each image and on the surface, and the poses of the cameras.
 
-The skin is a ball, or a ridge like a nose or brow, so that all truth is exact. Light inside is scattered in a homogeneous medium with
-the reduced scattering and absorption of skin at 850 nm, without a step of the refractive index: Mitsuba cannot
-reach a projector through one.
+The skin is a ball, or a ridge like a nose or brow, so that all truth is exact. Light inside is scattered in a
+homogeneous medium with the reduced scattering and absorption of skin at 850 nm, without a step of the
+refractive index: Mitsuba cannot reach a projector through one. Refraction would make what lies below the
+surface appear less deep, so the shift by light from inside is an upper limit.
 """
 
 from __future__ import annotations
@@ -167,7 +168,8 @@ def render_view(number: int, options: argparse.Namespace) -> dict[str, Any]:
         shape = {"type": "cylinder", "p0": ends[0], "p1": ends[1], "radius": float(axes[0])}
     shape["to_world"] = as_transform(skin)
     surface = {
-        "type": "principled", "base_color": mottled(random), "roughness": 0.45, "specular": 0.5, "flatness": 1.0,
+        "type": "principled", "base_color": mottled(random), "roughness": 0.45, "specular": 0.5,
+        "flatness": 1.0,
     }  # fmt: skip
     laser = {
         "type": "projector", "to_world": as_transform(projector), "fov": FAN_DEG, "fov_axis": "x",

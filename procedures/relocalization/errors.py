@@ -138,5 +138,5 @@ LINE_MOVED = ErrorCode(
     "STE-018",
     RefusedError,
     "The plane or the width of the laser line differs from its record.",
-    "Check the projector's mount and focus, and the head with ronna-stereo check; then record the line again.",
+    "Check the projector's mount and focus, and the head with ronna-stereo check; record the line again.",
 )

@@ -1,13 +1,16 @@
 """Centre of a laser line in an image at sub-pixel, with its standard deviation.
 
 The centre is where the derivative of a Gaussian as wide as the line, laid across it, sees as much light on
-either side. Such a filter does not see even ambient light, nor the clipped top of a saturated line, and little
-of the halo of light that was scattered in skin. Rows are put together over some spacing along the line: one
-row sees a few grains of speckle only.
+either side. Such a filter does not see even ambient light, nor the clipped top of a saturated line, and
+little of the halo of light that was scattered in skin. Rows are put together over some spacing along the
+line: one row sees a few grains of speckle only.
 
-The standard deviation has two parts: the scatter of shorter blocks of rows, longer than a grain of speckle,
-and the asymmetry of the profile, seen as the shift between two filters of different width. The latter is from
-mottled skin, a tilted surface, or a specular spot, and does not scatter.
+The standard deviation has three parts: the scatter of shorter blocks of rows, longer than a grain of speckle;
+the asymmetry of the profile, seen as the shift between two filters of different width; and the usual mottle
+of skin. Mottle shifts the line alike in both images, along the skin, so that no point leaves the surface.
+
+Light that was scattered inside skin comes back from below its surface. Both images show the line too deep,
+and no profile tells by how much. It is an offset of the surface, which the registration estimates.
 """
 
 from __future__ import annotations
@@ -23,11 +26,12 @@ from procedures.relocalization.errors import BadImage, NoLine, Saturated
 from procedures.relocalization.grey_image import (
     AreaImage,
     GreyImage,
+    halve_image,
     highest_grey,
     single_threaded,
     validate_image,
 )
-from procedures.relocalization.line_ridges import Ridges, find_ridges, runs_along_rows
+from procedures.relocalization.line_ridges import HALVINGS, Ridges, find_ridges, runs_along_rows
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import MAD_TO_SIGMA, median
 
@@ -41,7 +45,9 @@ WIDTH_OVER_SIGMA = 2.355  # of a Gaussian at half height
 WIDE_FILTER = 1.6  # over the usual one, for the asymmetry
 ASYMMETRY_SHARE = 0.5  # of the shift between both filters; of the error that a tail on one side leaves
 CLIPPED_SHARE = 0.05  # of the filter's width: error of a centre whose whole core is clipped
-LEAST_DEVIATION_PX = 0.01
+# Relative change of the reflectance of skin across the line: it shifts the centre by the line's variance
+# times this, and leaves no sign. Fitted to path-traced skin mottled by 10 % in blotches of all sizes (U).
+MOTTLE_PER_PX = 0.006
 LARGEST_STEP_PX = 12.0  # from the rough centre, at once
 LEAST_LIGHT = 0.2  # of the usual curvature of the profile; with less, hair hides the line in this row
 OUTLIER_SIGMAS, OUTLIER_FLOOR_PX = 4.0, 0.3
@@ -56,8 +62,8 @@ GAUSSIAN_SLOPE = 0.5 * np.sqrt(np.pi)  # of the filter's answer, on a line of it
 class LineImage:
     """Centres (n, 2) of a line in an image, px x and y, in order along each of its branches.
 
-    `deviation_px` (n, 2) is one standard deviation, as a vector across the line: along it a centre is where it
-    is by definition. `branch` (n,) numbers the pieces. `width_px` (n,) is the standard deviation of the
+    `deviation_px` (n, 2) is one standard deviation, as a vector across the line: along it a centre is where
+    it is by definition. `branch` (n,) numbers the pieces. `width_px` (n,) is the standard deviation of the
     profile, `grey` (n,) how far it stands out, `clipped` (n,) the saturated share of its core.
     """
 
@@ -81,10 +87,11 @@ def measure_line(lit: AreaImage, dark: AreaImage | None = None, *, spacing_px: i
     """
     grey = validate_image(lit.pixels)
     light = grey if dark is None else _subtract(lit, dark)
-    turned = runs_along_rows(light)
+    small = halve_image(light, HALVINGS)
+    turned = runs_along_rows(small)
     if turned:
-        grey, light = (np.ascontiguousarray(each.T) for each in (grey, light))
-    ridges = find_ridges(light)
+        grey, light, small = (np.ascontiguousarray(each.T) for each in (grey, light, small))
+    ridges = find_ridges(small)
     if not len(ridges.row):
         _refuse(grey, ridges)
     line = _refine(grey, light, ridges, spacing_px)
@@ -202,7 +209,7 @@ def _refine(grey: GreyImage, light: GreyImage, ridges: Ridges, spacing_px: int) 
         _scatter(groups, blocks, score, weight)
         + (ASYMMETRY_SHARE * (wide - shift)) ** 2
         + (CLIPPED_SHARE * sigma_px * clipped) ** 2
-        + LEAST_DEVIATION_PX**2
+        + (MOTTLE_PER_PX * sigma_px**2) ** 2
     )
     good = (groups.add(kept) >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
     height = total / np.maximum(groups.add(kept), 1.0) / GAUSSIAN_SLOPE

@@ -20,8 +20,8 @@ LARGEST_WIDENING = 0.3  # relative
 class LightPlane:
     """Plane in the tool frame: unit normal (3,) and distance from the origin along it, mm.
 
-    `rms_mm` is the scatter of the points about it, `spread_mm` (2,) their standard deviations within it, along
-    the line and across: without spread across, the plane may turn about the line.
+    `rms_mm` is the scatter of the points about it, `spread_mm` (2,) their standard deviations within it, the
+    larger first: where the smaller is next to nothing, the plane may turn about the line.
     """
 
     normal: Array
@@ -40,7 +40,7 @@ class LightPlane:
 
 @dataclass(frozen=True)
 class LineRecord:
-    """Plane and width of the light as recorded; `width_mm` is a standard deviation at the tool centre point."""
+    """Plane of the light and its width, a standard deviation at the tool centre point, as recorded."""
 
     plane: LightPlane
     width_mm: float
@@ -76,9 +76,7 @@ def fit_plane(points_mm: Array) -> LightPlane:
     _, singular, axes = np.linalg.svd(points_mm - middle, full_matrices=False)
     normal = axes[2] * (1.0 if axes[2][np.abs(axes[2]).argmax()] > 0.0 else -1.0)
     spread = singular / np.sqrt(len(points_mm))
-    return LightPlane(
-        normal, float(normal @ middle), float(spread[2]), (float(spread[0]), float(spread[1]))
-    )
+    return LightPlane(normal, float(normal @ middle), float(spread[2]), (float(spread[0]), float(spread[1])))
 
 
 def record_line(lines_mm: Sequence[Array], widths_mm: Sequence[float]) -> LineRecord:

@@ -24,7 +24,9 @@ from ronna_hw.frames import Frame
 
 LARGEST_STEEPNESS = 4.0  # of the line against the epipolar lines: sideways over along; 14 degrees
 LONGEST_GAP_PX = 80.0  # between two centres between which is interpolated
-HEIGHT_ERROR_PX = 0.2  # of one image against the other, by the calibration and the lens; one standard deviation
+HEIGHT_ERROR_PX = (
+    0.2  # of one image against the other, by the calibration and the lens; one standard deviation
+)
 FEWEST_POINTS = 3
 PLANE_TOLERANCE_MM = 0.15  # of a right match, besides ...
 PLANE_SIGMAS = 4.0  # ... this many of its standard deviations
@@ -33,10 +35,11 @@ LEAST_IN_PLANE = 0.5  # of the matched points
 
 @dataclass(frozen=True)
 class LinePoints:
-    """Points (n, 3) of a line in the tool frame, mm, with covariance (n, 3, 3) and distance (n,) from their plane.
+    """Points (n, 3) of a line in the tool frame, mm, with covariance and distance (n,) from their plane.
 
-    The covariance is that of the measurement; along the line it says how far both images may be out of level.
-    `unmatched` counts centres of the left image without a partner, `off_plane` those whose match is wrong.
+    The covariance (n, 3, 3) is that of the measurement; along the line it says how far both images may be out
+    of level. `unmatched` counts centres of the left image without a partner, `off_plane` those whose match is
+    wrong.
     """
 
     points_mm: Array
@@ -132,13 +135,12 @@ class _LevelHead:
 
     def place(self, line: LineImage, side: int) -> _LevelLine:
         """Return the centres of one camera in its level image."""
-        middle, moved = (
-            self._level(line.centres_px + step * line.deviation_px, side) for step in (0.0, 1.0)
-        )
+        middle, moved = (self._level(line.centres_px + step * line.deviation_px, side) for step in (0.0, 1.0))
         u, v = middle
         across_u, across_v = moved[0] - u, moved[1] - v
         steepness = _slopes(u, v, line.branch)
-        return _LevelLine(u, v, np.abs(across_u - steepness * across_v), steepness, line.branch)
+        sigma = np.abs(across_u - np.where(np.isfinite(steepness), steepness, 0.0) * across_v)
+        return _LevelLine(u, v, sigma, steepness, line.branch)
 
     def _level(self, pixels: Array, side: int) -> tuple[Array, Array]:
         camera = self._cameras[side]
@@ -164,7 +166,9 @@ def _slopes(u: Array, v: Array, branch: NDArray[np.int64]) -> Array:
     for each in np.unique(branch):
         own = np.flatnonzero(branch == each)
         if len(own) > 1:
-            slopes[own] = np.gradient(u[own], v[own])
+            rise, run = np.gradient(u[own]), np.gradient(v[own])
+            is_level = np.abs(run) * LARGEST_STEEPNESS < np.abs(rise)
+            slopes[own] = np.where(is_level, np.inf, rise / np.where(is_level, 1.0, run))
     return slopes
 
 
@@ -181,8 +185,8 @@ def _match(level: _LevelHead, left: _LevelLine, right: _LevelLine) -> _Candidate
         v = right.v[own]
         after = np.clip(np.searchsorted(v, left.v), 1, len(own) - 1)
         gap = v[after] - v[after - 1]
-        share = (left.v - v[after - 1]) / gap
-        met = np.flatnonzero(usable & (share >= 0.0) & (share <= 1.0) & (gap < longest))
+        share = (left.v - v[after - 1]) / np.where(gap > 0.0, gap, np.inf)
+        met = np.flatnonzero(usable & (share >= 0.0) & (share <= 1.0) & (gap > 0.0) & (gap < longest))
         before, behind, part = own[after[met] - 1], own[after[met]], share[met]
         u = (1.0 - part) * right.u[before] + part * right.u[behind]
         sigma = np.hypot((1.0 - part) * right.sigma[before], part * right.sigma[behind])

@@ -12,18 +12,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization.grey_image import GreyImage, halve_image, highest_grey, single_threaded
+from procedures.relocalization.grey_image import GreyImage, highest_grey, single_threaded
 from ronna_hw.arrays import Array
 
 HALVINGS = 2  # a line is some 15 px wide, and 4 px in the reduced image
 # The rest in pixels of the reduced image
 ACROSS_SIGMA, ALONG_SIGMA = 1.5, 3.0  # of the smoothing, against speckle
-WIDEST = 49  # of a line with its halo; what is wider is ambient light
+WIDEST = 65  # the mean over this width is taken for ambient light
 APART = 17  # two ridges in a row are no closer
-IN_SHADE_OF, SHADE_SHARE = 65, 0.2  # near a ridge, one with less than this share of its light is its halo
+IN_SHADE_OF, SHADED = 65, 5  # near a ridge, one with less than a fifth of its light is its halo
 SHORTEST = 6  # rows of a branch
 NOISE_FACTOR = 8.0
 CONTRAST_FLOOR = 0.015  # of the grey range
+FINER_GREY = 16  # steps of a grey value: OpenCV is fastest on whole numbers
 NOISE_SAMPLING = 3  # every third pixel suffices
 LOW_PERCENTILE, MIDDLE_PERCENTILE = 16.0, 50.0  # one standard deviation apart; the line does not reach either
 
@@ -42,23 +43,22 @@ class Ridges:
     limit_grey: float
 
 
-def find_ridges(light: GreyImage) -> Ridges:
-    """Find the branches of a line that crosses the rows of an image; there may be none."""
-    factor = 2**HALVINGS
-    small = halve_image(light, HALVINGS)
+def find_ridges(small: GreyImage) -> Ridges:
+    """Find the branches of a line that crosses the rows of an image, `HALVINGS` times halved; maybe none."""
     with single_threaded():
         smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), sigmaX=ACROSS_SIGMA, sigmaY=ALONG_SIGMA)
-        ridge = cv2.morphologyEx(smooth, cv2.MORPH_TOPHAT, np.ones((1, WIDEST), np.uint8))
+        fine = (FINER_GREY * smooth).astype(np.uint16)
+        ridge = cv2.subtract(fine, cv2.blur(fine, (WIDEST, 1)))
         sample = ridge[::NOISE_SAMPLING, ::NOISE_SAMPLING]
         low, middle = np.percentile(sample, (LOW_PERCENTILE, MIDDLE_PERCENTILE)).tolist()
-        limit = max(middle + NOISE_FACTOR * (middle - low), CONTRAST_FLOOR * highest_grey(light))
+        limit = max(middle + NOISE_FACTOR * (middle - low), CONTRAST_FLOOR * FINER_GREY * highest_grey(small))
         is_peak = (ridge >= cv2.dilate(ridge, np.ones((1, APART), np.uint8))) & (ridge > limit)
-        is_peak &= ridge > SHADE_SHARE * cv2.dilate(ridge, np.ones((1, IN_SHADE_OF), np.uint8))
+        is_peak &= ridge > cv2.dilate(ridge, np.ones((1, IN_SHADE_OF), np.uint8)) // SHADED
         joined = cv2.dilate(is_peak.astype(np.uint8), np.ones((3, 3), np.uint8))
         _, labels = cv2.connectedComponents(joined, connectivity=8)
     rows, columns = np.nonzero(is_peak)
-    branches = _trace_branches(rows, columns, labels[rows, columns], factor)
-    strongest = float(ridge.max())
+    branches = _trace_branches(rows, columns, labels[rows, columns], 2**HALVINGS)
+    strongest, limit = float(ridge.max()) / FINER_GREY, limit / FINER_GREY
     if not branches:
         none = np.zeros(0, np.int64)
         return Ridges(none, np.zeros(0), none, strongest, limit)
@@ -67,13 +67,10 @@ def find_ridges(light: GreyImage) -> Ridges:
     return Ridges(row, column, branch, strongest, limit)
 
 
-def runs_along_rows(light: GreyImage) -> bool:
+def runs_along_rows(small: GreyImage) -> bool:
     """Return whether the line crosses more columns than rows, and the image should be transposed."""
-    small = halve_image(light, HALVINGS)
-    with single_threaded():
-        smooth = cv2.GaussianBlur(small, (0, 0), sigmaX=ACROSS_SIGMA)
-    limit = smooth.min() + 0.5 * (float(smooth.max()) - float(smooth.min()))
-    is_bright = smooth > limit
+    low, high = int(small.min()), int(small.max())
+    is_bright = small > (low + high) // 2
     return bool(is_bright.any(axis=0).sum() > is_bright.any(axis=1).sum())
 
 

@@ -98,9 +98,9 @@ class CameraModel:
         return float(np.arcsin(np.sqrt(sine_squared)))
 
     def undistort(self, pixel: ArrayLike) -> Array:
-        """Convert a pixel to undistorted normalized coordinates (2,) iteratively. Raises STE-004."""
+        """Convert pixels (..., 2) to undistorted normalized coordinates iteratively. Raises STE-004."""
         observed: Array = (np.asarray(pixel, dtype=float) - self._principal) / self._focal
-        if observed.shape != (2,) or not np.all(np.isfinite(observed)):
+        if observed.shape[-1:] != (2,) or not np.all(np.isfinite(observed)):
             raise BAD_MEASUREMENT("a pixel is two finite numbers", got=str(pixel))
         ideal: Array = observed.copy()
         for _ in range(UNDISTORT_ITERATIONS):

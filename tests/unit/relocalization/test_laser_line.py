@@ -85,7 +85,7 @@ def test_the_stated_deviation_under_speckle_is_as_large_as_the_error() -> None:
         normalized.append(errors[-1] / line.deviation_px[:, 0])
 
     assert rms(np.concatenate(errors)) < 0.25
-    assert 0.7 < np.mean(np.concatenate(normalized) ** 2) < 1.4
+    assert 0.4 < np.mean(np.concatenate(normalized) ** 2) < 1.2  # skin is mottled besides, here it is not
 
 
 def test_a_saturated_line_keeps_its_centre() -> None:
