@@ -65,7 +65,9 @@ def find_body(grid: GreyGrid, threshold: float) -> Body | None:
     body = _grow(labels == 1 + int(np.bincount(labels.ravel())[1:].argmax()), solid, spacing, REGROWN_MM)
     away = ndimage.distance_transform_edt(~body, sampling=spacing)
     wide, _ = ndimage.label(away > CHANNEL_MM)
-    outer = ndimage.distance_transform_edt(wide != wide[0, 0, 0], sampling=spacing) < CHANNEL_MM + spacing.max()
+    outer = (
+        ndimage.distance_transform_edt(wide != wide[0, 0, 0], sampling=spacing) < CHANNEL_MM + spacing.max()
+    )
     rim = body & ndimage.binary_dilation(outer & ~body)
     smooth = ndimage.gaussian_filter(body.astype(np.float32), THIN_MM / spacing)
     rows = tuple(np.argwhere(rim).T)

@@ -22,7 +22,8 @@ from procedures.imaging.volume import OUTSIDE_FIELD_HU, Volume
 from ronna_hw.arrays import Array, Mask
 
 SAMPLES_MM = 2.5  # between the samples of the surface
-INSIDE_MM, OUTSIDE_MM = (1.5, 3.0), (2.0, 3.5)  # from the surface, where tissue and its outside are read
+INSIDE_MM, OUTSIDE_MM = (1.0, 3.0), (2.0, 3.5)  # from the surface, where tissue and its outside are read
+PLATEAU = 3  # steps of a profile that are averaged against noise
 REACH_MM = 6.0  # of a profile to either side
 STEP_MM = 0.25  # of a profile: below half of a voxel
 SEARCH_MM = 2.5  # from where the nearest sample expects the surface
@@ -154,7 +155,9 @@ def find_surface(volume: Volume, tissue: Tissue) -> CtSurface:
     reason = np.where(_is_lone(tree, places, reason == "") & (reason == ""), Reason.SMALL, reason)
     is_surface = reason == ""
     if not is_surface.any():
-        raise NO_SURFACE(f"no part of the {tissue.name} is free", got=f"{body.volume_cm3:.0f} cm3 in one piece")
+        raise NO_SURFACE(
+            f"no part of the {tissue.name} is free", got=f"{body.volume_cm3:.0f} cm3 in one piece"
+        )
     excluded = tuple(
         ExcludedPart(one, float(np.mean(reason == one)), tuple(places[reason == one].mean(axis=0).tolist()))
         for one in Reason
@@ -190,7 +193,8 @@ def find_normals(grid: GreyGrid, spline: NDArray[np.float32], places_mm: Array, 
     """Return unit normals (n, 3) against the gradient; where there is none, the other direction."""
     ends = SLOPE_MM * np.eye(3)
     slope = np.stack(
-        [sample(grid, spline, places_mm - one) - sample(grid, spline, places_mm + one) for one in ends], axis=-1
+        [sample(grid, spline, places_mm - one) - sample(grid, spline, places_mm + one) for one in ends],
+        axis=-1,
     )
     length = np.linalg.norm(slope, axis=1, keepdims=True)
     unit = slope / np.where(length > 0.0, length, 1.0)
@@ -198,14 +202,19 @@ def find_normals(grid: GreyGrid, spline: NDArray[np.float32], places_mm: Array, 
 
 
 def _read_sides(profile: Array, steps: Array, middle: Array) -> tuple[Array, Array, Array]:
-    """Return the median inside, the median outside, and the least value inside, (n,) each."""
+    """Return the value inside, that outside, and the least inside, (n,) each; NaN where there is none.
+
+    Inside it is the peak: skin and the outer table are thin, and beneath them are fat and diploe.
+    """
     from_edge = steps - middle[:, None]
-    depth = np.where((-from_edge >= INSIDE_MM[0]) & (-from_edge <= INSIDE_MM[1]), profile, np.nan)
-    height = np.where((from_edge >= OUTSIDE_MM[0]) & (from_edge <= OUTSIDE_MM[1]), profile, np.nan)
-    empty = np.isnan(depth).all(axis=1) | np.isnan(height).all(axis=1)
-    depth[empty], height[empty] = 0.0, 0.0
-    inside, outside, least = np.nanmedian(depth, axis=1), np.nanmedian(height, axis=1), np.nanmin(depth, axis=1)
-    return np.where(empty, np.nan, inside), np.where(empty, np.nan, outside), least
+    is_inside = (-from_edge >= INSIDE_MM[0]) & (-from_edge <= INSIDE_MM[1])
+    is_outside = (from_edge >= OUTSIDE_MM[0]) & (from_edge <= OUTSIDE_MM[1])
+    smooth = ndimage.uniform_filter1d(profile, PLATEAU, axis=1)
+    inside = np.max(smooth, axis=1, where=is_inside, initial=-np.inf)
+    least = np.min(profile, axis=1, where=is_inside, initial=np.inf)
+    outside = np.sum(profile, axis=1, where=is_outside) / np.maximum(is_outside.sum(axis=1), 1)
+    known = is_inside.any(axis=1) & is_outside.any(axis=1)
+    return np.where(known, inside, np.nan), np.where(known, outside, np.nan), np.where(known, least, np.nan)
 
 
 def _thin(places_mm: Array) -> NDArray[np.int64]:

@@ -29,8 +29,7 @@ from procedures.registration.target_prediction import spread_directions
 from ronna_hw.arrays import Array, Mask
 
 COVERED_MM = 10.0  # a sample this near to a scanned point is covered
-CLEARLY_MIRRORED = 1.4  # ratio of residuals of one side and the other
-LEAST_MIRRORED_MM = 0.25  # smaller residuals are equal
+CLEARLY_MIRRORED_MM2 = 0.1  # between the mean squares of the two sides: a third of a millimetre
 START_SIGMAS = 4.0
 MOVED_TURN_RAD, MOVED_MM = np.radians(1.0), 2.0  # of a head or cart that moved between looks (U)
 MOVED_EVIDENCE = 8.0  # log Bayes factor: one in three thousand, several movements tried
@@ -54,7 +53,7 @@ class SurfaceLimits:
     # Safety against a pose from a patch without features. Source: parametric heads.
     least_coverage: float = 0.07
     # Predicted error that contains 95 % of targets.
-    # Safety against a scan that does not determine the target. Source: margin of a plan in the open brain (U).
+    # Safety against a scan that does not determine the target. Source: usual margin of a plan (U).
     largest_error_mm: float = 2.0
     # Robust standard deviation of the distances: skin of the same head stays well below, another head above.
     # Safety against the CT of another patient. Source: parametric heads.
@@ -121,22 +120,22 @@ def share_covered(places_mm: Array, surface: Surface, axes: HeadAxes) -> float:
     return float(np.isfinite(distances).mean())
 
 
-def is_side_proven(found: Settled, used: Mask, points_mm: Array, view_mm: Array, surface: Surface) -> bool:
+def is_side_proven(
+    found: Settled, used: Mask, points_mm: Array, view_mm: Array, surface: Surface, axes: HeadAxes
+) -> bool:
     """Return whether the mirror image of the scan fits clearly worse. Raises SRF-006 if it fits better."""
     flip = np.diag([-1.0, 1.0, 1.0])
-    across = np.array([2.0 * HeadAxes.of(surface).middle_mm[0], 0.0, 0.0])
+    across = np.array([2.0 * axes.middle_mm[0], 0.0, 0.0])
     mirrored = Pose(flip @ found.pose.rotation @ flip, flip @ found.pose.translation_mm + across)
     other = settle(mirrored, points_mm @ flip, view_mm @ flip, surface, used)
-    here = max(found.sigma_of(used), LEAST_MIRRORED_MM)
-    there = max(other.sigma_of(used), LEAST_MIRRORED_MM)
-    if here > CLEARLY_MIRRORED * there:
-        raise MIRRORED_HEAD("left and right of the CT are exchanged", got=f"{there:.2f} mm, else {here:.2f} mm")
-    return there > CLEARLY_MIRRORED * here
+    here, there = found.capped_mm2, other.capped_mm2
+    if here > there + CLEARLY_MIRRORED_MM2:
+        got = f"{there**0.5:.2f} mm rms, else {here**0.5:.2f} mm"
+        raise MIRRORED_HEAD("left and right of the CT are exchanged", got=got)
+    return there > here + CLEARLY_MIRRORED_MM2
 
 
-def require_still(
-    model: MisfitModel, jacobian: Array, distances_mm: Array, look: Array
-) -> None:
+def require_still(model: MisfitModel, jacobian: Array, distances_mm: Array, look: Array) -> None:
     """Raise SRF-007 if some looks were taken of a head elsewhere: one of them, or all from one on."""
     numbers = np.unique(look)
     groups = {f"from look {one} on": look >= one for one in numbers[1:]}
@@ -215,15 +214,18 @@ def require_start(pose: Pose, start: Start | None, axes: HeadAxes) -> None:
     turn = float(Rotation.from_matrix(pose.rotation @ before.rotation.T).magnitude())
     robot = (at_mm - pose.translation_mm) @ pose.rotation
     place = float(np.linalg.norm(before.apply(robot[None])[0] - at_mm))
-    if turn > START_SIGMAS * start.turn_rad or place > START_SIGMAS * start.place_mm:
+    turn_limit, place_limit_mm = START_SIGMAS * start.turn_rad, START_SIGMAS * start.place_mm
+    if turn > turn_limit or place > place_limit_mm:
         raise FAR_FROM_START(
             "the registration ended far from its start",
-            limit=f"{np.degrees(START_SIGMAS * start.turn_rad):.1f} deg and {START_SIGMAS * start.place_mm:.1f} mm",
+            limit=f"{np.degrees(turn_limit):.1f} deg and {place_limit_mm:.1f} mm",
             got=f"{np.degrees(turn):.1f} deg and {place:.1f} mm",
         )
 
 
-def require_determined(limit_mm: float, covariance_ct_mm2: Array, target_ct_mm: Array, limits: SurfaceLimits) -> None:
+def require_determined(
+    limit_mm: float, covariance_ct_mm2: Array, target_ct_mm: Array, limits: SurfaceLimits
+) -> None:
     """Raise SRF-003 if the predicted error of a target is too large, with its worst direction."""
     if limit_mm <= limits.largest_error_mm:
         return

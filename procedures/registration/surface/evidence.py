@@ -24,7 +24,7 @@ SCOUTS = tuple(one for one in MISFITS if (one.roughness, one.length_mm) in SCOUT
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """Logarithm of the Bayes factor for a displacement, and its most likely size (k,) in the columns' units."""
+    """Log Bayes factor for a displacement, and its likeliest size (k,) in units of the columns."""
 
     log_evidence: float
     size: Array

@@ -2,10 +2,10 @@
 
 Skin is not where the CT showed it: it was pressed, taped, swollen. Neighbouring points share that error, so
 five hundred points say far less about the pose than their noise suggests. Each hypothesis states a size and a
-length of the misfit; the pose follows by generalised least squares with its covariance, and the scan tells the
-hypotheses apart by restricted likelihood (Patterson and Thompson 1971), the pose integrated out. The result is
-the mixture, so that an uncertain size widens the limits. Matérn kernels (Stein 1999, Interpolation of Spatial
-Data): the squared exponential, smooth without end, is far too confident here.
+length of the misfit. The pose follows by generalised least squares with its covariance, and the scan tells
+the hypotheses apart by restricted likelihood (Patterson and Thompson 1971), the pose integrated out. The
+result is the mixture, so that an uncertain size widens the limits. Matérn kernels (Stein 1999, Interpolation
+of Spatial Data): the squared exponential, smooth without end, is far too confident here.
 """
 
 from __future__ import annotations
@@ -19,15 +19,13 @@ from typing import Self
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
-from scipy.special import chdtr
 
 from ronna_hw.arrays import Array
 
 POSE = 6  # unknowns of a pose
 OFFSET_SD_MM = 0.1  # of the surface's level in the CT, the same everywhere (U)
 LEAST_NOISE_MM = 0.03  # of a surface by grey values, from point to point (U)
-LIMIT_STEPS = 60  # bisections: the limit is then exact to rounding
-FARTHEST_LIMIT = 20.0  # of the rms: no mixture has its 95 % limit beyond
+POSE_SD = np.array([1.0, 1.0, 1.0, 1e3, 1e3, 1e3])  # rad and mm: a turn that nothing shows stays finite
 
 
 class Roughness(StrEnum):
@@ -132,7 +130,7 @@ class MisfitModel:
         shifts, covariances, gains, likelihoods = [], [], [], []
         for factor, log_determinant in zip(self.factors, self.log_determinants, strict=True):
             weighted = cho_solve(factor, both, check_finite=False)
-            normal = jacobian.T @ weighted[:, :POSE]
+            normal = jacobian.T @ weighted[:, :POSE] + np.diag(POSE_SD**-2)
             covariance = np.linalg.inv(normal)
             shift = -covariance @ (jacobian.T @ weighted[:, POSE])
             chi_square = residuals_mm @ (weighted[:, POSE] + weighted[:, :POSE] @ shift)
@@ -144,21 +142,3 @@ class MisfitModel:
         weights = np.exp(logs + self.log_prior - (logs + self.log_prior).max())
         parts = (np.array(one) for one in (shifts, covariances, gains))
         return PoseMixture(weights / weights.sum(), *parts, logs)
-
-
-def mixture_limit_mm(weights: Array, offsets_mm: Array, covariances_mm2: Array, confidence: float) -> float:
-    """Return the radius in mm that contains an error drawn from a mixture with this probability.
-
-    Of each part (h,) the error is normal with an offset (h, 3) and a covariance (h, 3, 3); its squared length
-    is taken as a scaled chi-square with its mean and variance (Patnaik 1949, as `offset_limit_mm`).
-    """
-    mean = np.sum(offsets_mm**2, axis=1) + np.trace(covariances_mm2, axis1=1, axis2=2)
-    cross = np.einsum("hi,hij,hj->h", offsets_mm, covariances_mm2, offsets_mm)
-    variance = 2.0 * np.sum(covariances_mm2**2, axis=(1, 2)) + 4.0 * cross
-    freedom, scale = 2.0 * mean**2 / variance, variance / (2.0 * mean)
-    low, high = 0.0, FARTHEST_LIMIT * float(np.sqrt(mean.max()))
-    for _ in range(LIMIT_STEPS):
-        middle = 0.5 * (low + high)
-        within = float(weights @ chdtr(freedom, middle**2 / scale))
-        low, high = (middle, high) if within < confidence else (low, middle)
-    return high

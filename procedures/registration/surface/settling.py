@@ -70,7 +70,7 @@ class Settled:
 
     @property
     def capped_mm2(self) -> float:
-        """Mean square of the distances; a far point counts as one at the edge, as does one that is not valid."""
+        """Mean square of the distances; far points count as `NEAR_MM`, as do those that are not valid."""
         capped = np.where(self.valid, np.minimum(np.abs(self.distances_mm), NEAR_MM), NEAR_MM)
         return float(np.mean(capped**2))
 
@@ -84,7 +84,9 @@ class Settled:
         return np.hstack([np.cross(self.places_mm - centre_mm, self.normals), self.normals])
 
 
-def settle(pose: Pose, points_mm: Array, view_mm: Array, surface: Surface, used: Mask | None = None) -> Settled:
+def settle(
+    pose: Pose, points_mm: Array, view_mm: Array, surface: Surface, used: Mask | None = None
+) -> Settled:
     """Move the points onto the surface from a nearby pose by robust point-to-surface least squares."""
     used = np.ones(len(points_mm), dtype=bool) if used is None else used
     found = Settled.at(pose, points_mm, view_mm, surface)

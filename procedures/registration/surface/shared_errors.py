@@ -67,7 +67,7 @@ def by_look(source: SharedErrors | IndependentErrors) -> Array:
 
 
 def at_target(sources: Sources) -> tuple[Array, Array]:
-    """Return the displacements (3, k) of a target by the same columns, and the independent covariance there."""
+    """Return a target's displacements (3, k) by the same columns, and its independent covariance (3, 3)."""
     columns, covariance = [np.zeros((AXES, 0))], np.zeros((AXES, AXES))
     for one in sources:
         if isinstance(one, SharedErrors):

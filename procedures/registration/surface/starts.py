@@ -41,13 +41,13 @@ class Start:
     place_mm: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite([self.turn_rad, self.place_mm]).all() and min(self.turn_rad, self.place_mm) > 0.0):
+        if not (
+            np.isfinite([self.turn_rad, self.place_mm]).all() and min(self.turn_rad, self.place_mm) > 0.0
+        ):
             raise BAD_SURFACE_INPUT("the error of a start must be positive and finite")
 
     @classmethod
-    def from_landmarks(
-        cls, ct_mm: ArrayLike, robot_mm: ArrayLike, sd_mm: float = LANDMARK_SD_MM
-    ) -> Start:
+    def from_landmarks(cls, ct_mm: ArrayLike, robot_mm: ArrayLike, sd_mm: float = LANDMARK_SD_MM) -> Start:
         """Fit at least three landmarks, in the same order in both frames. Raises REG-001, 002, 004."""
         image, physical = validate_pairs(ct_mm, robot_mm)
         fit = fit_rigid(image, physical)

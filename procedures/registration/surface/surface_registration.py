@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.surface.checks import (
@@ -34,7 +33,8 @@ from procedures.registration.surface.checks import (
     weigh_regions,
 )
 from procedures.registration.surface.evidence import SCOUTS
-from procedures.registration.surface.misfit import MISFITS, Misfit, MisfitModel, PoseMixture, mixture_limit_mm
+from procedures.registration.surface.misfit import MISFITS, Misfit, MisfitModel, PoseMixture
+from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
@@ -46,45 +46,18 @@ from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
 
 MOST_STEPS = 12
-STILL = 1e-7  # mm and rad: a smaller step changes nothing
+STILL = 1e-5  # mm and rad: a smaller step changes nothing
 FEWEST_POINTS = 30  # of a scan after thinning: five for each unknown
-
-
-@dataclass(frozen=True, eq=False)
-class SurfacePrediction:
-    """Error of the registration at one target, in the robot frame: a mixture of normal errors.
-
-    Of each hypothesis (h,) the offset (h, 3) from the pose that is used, and the covariance (h, 3, 3).
-    """
-
-    weights: Array
-    offsets_mm: Array
-    covariances_mm2: Array
-
-    @property
-    def covariance_mm2(self) -> Array:
-        """Covariance (3, 3) of the error."""
-        spread = self.offsets_mm[:, :, None] * self.offsets_mm[:, None, :]
-        return np.asarray(np.einsum("h,hij->ij", self.weights, self.covariances_mm2 + spread))
-
-    @property
-    def rms_mm(self) -> float:
-        """Rms magnitude of the error."""
-        return float(np.sqrt(np.trace(self.covariance_mm2)))
-
-    def limit_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
-        """Return the radius in mm that contains the error with this probability."""
-        return mixture_limit_mm(self.weights, self.offsets_mm, self.covariances_mm2, confidence)
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceRegistration:
     """Pose robot <- CT by a surface, and its error.
 
-    `points_mm` are those of the thinned scan, `residuals_mm` their distances to the surface; `excluded` marks
-    other bodies and `changed` skin; of `doubted` skin the shift is unknown in the adjustment. `coverage` is the share of the head's surface that was scanned.
-    `side_proven` says whether the mirror image fits clearly worse: if it does not, left and right must be
-    confirmed by another observation.
+    `points_mm` are those of the thinned scan, `residuals_mm` their distances to the surface. `excluded` marks
+    other bodies and `changed` skin; of `doubted` skin the shift is unknown in the adjustment. `coverage` is
+    the share of the head's surface that was scanned. `side_proven` says whether the mirror image fits clearly
+    worse: if it does not, left and right must be confirmed by another observation.
     """
 
     robot_from_ct: Transform
@@ -121,7 +94,9 @@ class SurfaceRegistration:
         if arm_at_target:
             shared, independent_mm2 = at_target(arm_at_target)
             crossed = slope @ self.mixture.gains @ self.along_mm @ shared.T
-            covariances = covariances + crossed + np.swapaxes(crossed, 1, 2) + shared @ shared.T + independent_mm2
+            covariances = (
+                covariances + crossed + np.swapaxes(crossed, 1, 2) + shared @ shared.T + independent_mm2
+            )
         return SurfacePrediction(self.mixture.weights, self.mixture.shifts @ slope.T, covariances)
 
 
@@ -150,7 +125,7 @@ def register_surface(
         require_coverage(0.0, len(thin), limits)
     found = _settle(thin, surface, start, limits)
     used = ~mark_other_bodies(found)
-    side_proven = is_side_proven(found, used, thin.points_mm, thin.view_mm, surface)
+    side_proven = is_side_proven(found, used, thin.points_mm, thin.view_mm, surface, axes)
     used, changed, doubted = _judge_skin(found, used, thin, columns, axes, limits)
     coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
     found, centre, mixture, along = _adjust(found, used, thin, surface, columns, doubted)
@@ -159,8 +134,17 @@ def register_surface(
     matrix[:3, :3], matrix[:3, 3] = found.pose.rotation, found.pose.translation_mm
     ct_from_robot = Transform(Frame.CT, Frame.ROBOT, RigidTransform.from_matrix(matrix))
     registration = SurfaceRegistration(
-        ct_from_robot.inverse(), thin.points_mm, found.distances_mm, ~used, changed, doubted, coverage, side_proven,
-        centre, mixture, along,
+        ct_from_robot.inverse(),
+        thin.points_mm,
+        found.distances_mm,
+        ~used,
+        changed,
+        doubted,
+        coverage,
+        side_proven,
+        centre,
+        mixture,
+        along,
     )
     for target in targets:
         predicted = registration.predict(target)
@@ -185,7 +169,12 @@ def _settle(thin: SurfaceScan, surface: Surface, start: Start | None, limits: Su
 
 
 def _judge_skin(
-    found: Settled, used: Mask, thin: SurfaceScan, columns: ErrorColumns, axes: HeadAxes, limits: SurfaceLimits
+    found: Settled,
+    used: Mask,
+    thin: SurfaceScan,
+    columns: ErrorColumns,
+    axes: HeadAxes,
+    limits: SurfaceLimits,
 ) -> tuple[Mask, tuple[ChangedSkin, ...], tuple[ChangedSkin, ...]]:
     """Return the points whose skin did not change, and the regions that changed, and that may have.
 
@@ -230,14 +219,17 @@ def _adjust(
     columns: ErrorColumns,
     doubted: Sequence[ChangedSkin],
 ) -> tuple[Settled, Array, PoseMixture, Array]:
-    """Step to the mean of all hypotheses; return the pose, its centre, and the mixture about it."""
+    """Step to the mean of all hypotheses; return the pose, its centre, and the mixture about it.
+
+    The slopes stay those of the first pose, with which the shared errors were projected: otherwise a turn of
+    the normals by a hundredth would tell the one from the other.
+    """
     model, jacobian, along = _model(found, used, thin, columns, MISFITS, doubted)
+    centre = found.places_mm[used].mean(axis=0)
     for _ in range(MOST_STEPS):
-        centre = found.places_mm[used].mean(axis=0)
         mixture = model.adjust(jacobian, found.distances_mm[used])
         mean = mixture.mean
         if np.abs(mean).max() < STILL:
             break
         found = Settled.at(found.pose.moved(mean, centre), thin.points_mm, thin.view_mm, surface)
-        jacobian = found.jacobian(found.places_mm[used].mean(axis=0))[used]
     return found, centre, replace(mixture, shifts=mixture.shifts - mean), along

@@ -1,0 +1,108 @@
+"""Comparison of two scans of one head: where the skin moved, and whether the head did.
+
+Both are compared through the surface in the CT: what it misses is the same in both and cancels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from procedures.registration.points import validate_targets
+from procedures.registration.rigid_fit import pose_jacobian
+from procedures.registration.surface.checks import ChangedSkin, weigh_regions
+from procedures.registration.surface.errors import SCANS_APART
+from procedures.registration.surface.evidence import SCOUTS
+from procedures.registration.surface.misfit import MisfitModel, PoseMixture
+from procedures.registration.surface.prediction import SurfacePrediction
+from procedures.registration.surface.regions import HeadAxes
+from procedures.registration.surface.scan import SurfaceScan
+from procedures.registration.surface.settling import NEAR_MM, Pose, Settled
+from procedures.registration.surface.surface import Surface
+from procedures.registration.surface.thinning import thin_points
+from ronna_hw.arrays import Array
+from ronna_hw.frames import Transform
+
+COMMON_MM = 8.0  # from a point of the second scan to those of the first
+LEAST_COMMON = 30  # points: five for each unknown of a movement
+NEIGHBOURS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class ScanComparison:
+    """Movement of the head from the first scan to the second, and the regions of skin that moved beyond it.
+
+    `common` is the share of the second scan that the first shows too. `shift_mm` of a region is outwards.
+    """
+
+    changed: tuple[ChangedSkin, ...]
+    common: float
+    centre_ct_mm: Array
+    robot_from_ct: Transform
+    mixture: PoseMixture = field(repr=False)
+
+    def movement_at(self, target_ct_mm: ArrayLike) -> tuple[Array, SurfacePrediction]:
+        """Return how far a target moved, (3,) mm in the robot frame, and its error. Raises REG-001."""
+        target = validate_targets(target_ct_mm)[0]
+        slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
+        mean = self.mixture.mean
+        covariances = slope @ self.mixture.covariances @ slope.T
+        error = SurfacePrediction(self.mixture.weights, (self.mixture.shifts - mean) @ slope.T, covariances)
+        return slope @ mean, error
+
+
+def compare_scans(
+    first: SurfaceScan, second: SurfaceScan, surface: Surface, robot_from_ct: Transform
+) -> ScanComparison:
+    """Compare two scans of one head, registered by the first. Raises SRF-011 if they share too little."""
+    matrix = robot_from_ct.inverse().as_matrix()
+    pose, axes = Pose(matrix[:3, :3], matrix[:3, 3]), HeadAxes.of(surface)
+    before = Settled.at(pose, first.points_mm, first.view_mm, surface)
+    kept = before.valid & (np.abs(before.distances_mm) < NEAR_MM)
+    rows, _ = thin_points(second.points_mm)
+    thin = second.select(rows)
+    after = Settled.at(pose, thin.points_mm, thin.view_mm, surface)
+    usual, noise_mm2, used = _read_before(before, first, kept, after)
+    used &= after.valid & (np.abs(after.distances_mm) < NEAR_MM)
+    if used.sum() < LEAST_COMMON:
+        raise SCANS_APART("the scans share too little", limit=f"{LEAST_COMMON} points", got=f"{used.sum()}")
+    common = float(used.mean())
+    difference = Settled(pose, after.places_mm, after.distances_mm - usual, after.normals, after.valid)
+    own_noise = _along(after, thin) + noise_mm2
+    changed: list[ChangedSkin] = []
+    while True:
+        centre = after.places_mm[used].mean(axis=0)
+        jacobian = difference.jacobian(centre)[used]
+        model = MisfitModel.of(thin.points_mm[used], own_noise[used], np.zeros((used.sum(), 0)), SCOUTS)
+        regions = weigh_regions(model, jacobian, difference, used, axes)
+        clear = [one for one in regions if one.is_clear]
+        if not clear or (used & ~clear[0].points).sum() < LEAST_COMMON:
+            break
+        changed.append(clear[0])
+        used = used & ~clear[0].points
+    mixture = model.adjust(jacobian, difference.distances_mm[used])
+    return ScanComparison(tuple(changed), common, centre, robot_from_ct, mixture)
+
+
+def _read_before(
+    before: Settled, first: SurfaceScan, kept: Array, after: Settled
+) -> tuple[Array, Array, Array]:
+    """Return the first scan's mean distance around points of the second, its noise, and where it is."""
+    places, distances, noise = before.places_mm[kept], before.distances_mm[kept], _along(before, first)[kept]
+    apart, near = cKDTree(places).query(after.places_mm, k=NEIGHBOURS, distance_upper_bound=COMMON_MM)
+    there = np.isfinite(apart)
+    near = np.where(there, near, 0)
+    weight = there / (1.0 + np.where(there, apart, 0.0) ** 2)  # per mm2: the nearest say most
+    total = np.where(there.any(axis=1), weight.sum(axis=1), 1.0)
+    mean = (weight * distances[near]).sum(axis=1) / total
+    variance = (weight**2 * noise[near]).sum(axis=1) / total**2
+    return mean, variance, there.any(axis=1)
+
+
+def _along(found: Settled, scan: SurfaceScan) -> Array:
+    """Return the noise (n,) mm2 of points along their normals."""
+    directions = found.normals @ found.pose.rotation
+    return np.asarray(np.einsum("ni,nij,nj->n", directions, scan.covariance_mm2, directions))

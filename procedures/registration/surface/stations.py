@@ -1,0 +1,151 @@
+"""Error to expect of a scan before it is made, and the poses that lower it most.
+
+The covariance is that of the registration. How large the misfit will be is not known before the scan, so the
+hypotheses are weighed by what is usual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from procedures.registration.points import validate_points, validate_targets
+from procedures.registration.rigid_fit import pose_jacobian
+from procedures.registration.surface.errors import BAD_SURFACE_INPUT, LITTLE_COVERAGE
+from procedures.registration.surface.misfit import Misfit, MisfitModel, Roughness
+from procedures.registration.surface.prediction import SurfacePrediction
+from procedures.registration.surface.thinning import thin_points
+from ronna_hw.arrays import Array
+
+USUAL_SIZES = {0.1: 0.2, 0.2: 0.4, 0.4: 0.4}  # mm, and how often: 0.3 mm rms of skin that nothing pressed (U)
+USUAL_LENGTHS_MM = {Roughness.ROUGH: 40.0, Roughness.SMOOTH: 20.0}
+USUAL = {
+    Misfit(size, length, kind): share / len(USUAL_LENGTHS_MM)
+    for kind, length in USUAL_LENGTHS_MM.items()
+    for size, share in USUAL_SIZES.items()
+}
+NOISE_MM = 0.05  # of a scanned point (U)
+PLANNED_POINTS = 150  # while poses are compared: the order of the poses does not need more
+FEWEST_POINTS = 12
+WORTH_MM_PER_S = 0.0005  # 0.005 mm at the targets for a look of ten seconds (U)
+
+
+def expect_error(
+    points_ct_mm: ArrayLike,
+    normals_ct: ArrayLike,
+    targets_ct_mm: ArrayLike,
+    *,
+    misfits: dict[Misfit, float] | None = None,
+    noise_mm: float = NOISE_MM,
+    shared_mm: Array | None = None,
+) -> list[SurfacePrediction]:
+    """Expect the error at targets (m, 3) registered by points (n, 3) with outward normals (n, 3).
+
+    `misfits` are hypotheses with their probabilities, by default usual ones. `shared_mm` (n, k) is the
+    displacement along the normals by errors of the arm. Raises REG-001, SRF-001, SRF-002.
+    """
+    points, normals = validate_points(points_ct_mm, "surface"), validate_points(normals_ct, "normal")
+    targets = validate_targets(targets_ct_mm)
+    if len(points) != len(normals):
+        raise BAD_SURFACE_INPUT(f"{len(points)} points but {len(normals)} normals")
+    rows, _ = thin_points(points) if len(points) else (np.zeros(0, dtype=int), 0.0)
+    return _expect(
+        points[rows],
+        normals[rows],
+        targets,
+        misfits or USUAL,
+        noise_mm,
+        np.zeros((len(rows), 0)) if shared_mm is None else shared_mm[rows],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """Look that could be taken: points (n, 3) of the surface that it shows, their normals, its duration."""
+
+    points_ct_mm: Array
+    normals_ct: Array
+    seconds: float
+
+
+@dataclass(frozen=True)
+class StationChoice:
+    """Looks to take, in order of their gain, and the rms error at the targets after each of them."""
+
+    stations: tuple[int, ...]
+    rms_mm: tuple[float, ...]
+
+
+def choose_stations(
+    candidates: Sequence[Station],
+    targets_ct_mm: ArrayLike,
+    *,
+    taken: Sequence[Station] = (),
+    worth_mm_per_s: float = WORTH_MM_PER_S,
+) -> StationChoice:
+    """Choose looks one by one, each the one that lowers the error at the targets most for its time.
+
+    Ends when no further look lowers it by `worth_mm_per_s`. `taken` looks are there already. Raises REG-001,
+    and SRF-002 if no look shows enough of the surface.
+    """
+    targets = validate_targets(targets_ct_mm)
+    chosen: list[int] = []
+    errors: list[float] = []
+    looks = list(taken)
+    now = _rms_of(looks, targets) if looks else float("inf")
+    while len(chosen) < len(candidates):
+        open_now = [one for one in range(len(candidates)) if one not in chosen]
+        after = {one: _rms_of([*looks, candidates[one]], targets) for one in open_now}
+        if not np.isfinite(now):
+            best = min(after, key=lambda one: after[one])
+        else:
+            best = max(after, key=lambda one: (now - after[one]) / candidates[one].seconds)
+            if now - after[best] < worth_mm_per_s * candidates[best].seconds:
+                break
+        if not np.isfinite(after[best]):
+            raise LITTLE_COVERAGE("no look shows enough of the surface", limit=f"{FEWEST_POINTS} points")
+        chosen.append(best)
+        looks.append(candidates[best])
+        now = after[best]
+        errors.append(now)
+    return StationChoice(tuple(chosen), tuple(errors))
+
+
+def _rms_of(stations: Sequence[Station], targets: Array) -> float:
+    """Return the rms error over all targets; infinite if the looks show too little."""
+    points = np.concatenate([one.points_ct_mm for one in stations])
+    if len(points) < FEWEST_POINTS:
+        return float("inf")
+    normals = np.concatenate([one.normals_ct for one in stations])
+    rows, _ = thin_points(points, PLANNED_POINTS)
+    if len(rows) < FEWEST_POINTS:
+        return float("inf")
+    expected = _expect(points[rows], normals[rows], targets, USUAL, NOISE_MM, np.zeros((len(rows), 0)))
+    return float(np.sqrt(np.mean([one.rms_mm**2 for one in expected])))
+
+
+def _expect(
+    points: Array,
+    normals: Array,
+    targets: Array,
+    misfits: dict[Misfit, float],
+    noise_mm: float,
+    shared_mm: Array,
+) -> list[SurfacePrediction]:
+    if len(points) < FEWEST_POINTS:
+        raise LITTLE_COVERAGE(f"{len(points)} points of the surface", limit=f"{FEWEST_POINTS}")
+    centre = points.mean(axis=0)
+    noise = np.full(len(points), noise_mm**2)
+    model = MisfitModel.of(points, noise, shared_mm, tuple(misfits))
+    jacobian = np.hstack([np.cross(points - centre, normals), normals])
+    mixture = model.adjust(jacobian, np.zeros(len(points)))
+    weights = np.array(list(misfits.values()))
+    predictions = []
+    for target in targets:
+        slope = pose_jacobian(target, centre)
+        covariances = slope @ mixture.covariances @ slope.T
+        predictions.append(SurfacePrediction(weights / weights.sum(), mixture.shifts @ slope.T, covariances))
+    return predictions

@@ -1,0 +1,116 @@
+"""A scan is registered to the surface in the CT, and its predicted error is the error that it has."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from procedures.registration.surface.checks import SurfaceLimits
+from procedures.registration.surface.peers import register_by_closest_points
+from procedures.registration.surface.starts import Start
+from procedures.registration.surface.surface_registration import register_surface
+from procedures.registration.target_prediction import SharedErrors
+
+FACE = ((0.0, -1.0, 0.0),)
+VAULT = ((0.0, -0.6, 1.0), (0.0, 0.0, 1.0), (0.5, -0.5, 1.0), (-0.5, -0.5, 1.0))
+TARGETS_MM = np.array([[-20.0, -20.0, -20.0], [20.0, 10.0, 25.0], [0.0, 40.0, 0.0]])
+
+# Views, size, length and offset of the misfit: a smooth field, which no hypothesis has.
+CASES = (
+    (None, 0.3, 15.0, 0.0),
+    (None, 0.2, 30.0, 0.1),
+    (FACE, 0.2, 20.0, 0.05),
+    (VAULT, 0.2, 25.0, 0.05),
+)
+
+
+def judge(heads, scan_of, seeds):
+    """Normalised square at each target, and whether the 95 % limit contains the error."""
+    squares, contained = [], []
+    for seed in seeds:
+        views, size, length, offset = CASES[seed % len(CASES)]
+        shown = {} if views is None else {"views": views}
+        level = offset * float(np.random.default_rng(seed).normal())
+        head = heads[seed % len(heads)]
+        made = scan_of(head, 1000 + seed, misfit_mm=size, length_mm=length, offset_mm=level, **shown)
+        found = register_surface(made.scan, head, made.start)
+        for target, error in zip(TARGETS_MM, made.errors_mm(found.robot_from_ct), strict=True):
+            predicted = found.predict(target)
+            squares.append(error @ np.linalg.solve(predicted.covariance_mm2, error) / 3.0)
+            contained.append(np.linalg.norm(error) < predicted.limit_mm())
+    return float(np.mean(squares)), float(np.mean(contained))
+
+
+def test_the_predicted_error_is_of_the_size_of_the_error(heads, scan_of):
+    square, contained = judge(heads, scan_of, range(8))
+    assert 0.2 < square < 2.5
+    assert contained >= 0.75
+
+
+@pytest.mark.slow
+def test_over_many_misfits_of_another_kind_the_normalised_square_is_near_one(heads, scan_of):
+    square, contained = judge(heads, scan_of, range(200))
+    assert 0.7 < square < 1.4
+    assert contained > 0.88
+
+
+def test_neither_the_order_of_the_points_nor_a_second_run_changes_a_bit(heads, scan_of, random):
+    made = scan_of(heads[0], 7, count=120)
+    first = register_surface(made.scan, heads[0], made.start)
+    shuffled = register_surface(made.scan.select(random.permutation(len(made.scan))), heads[0], made.start)
+    for other in (shuffled, register_surface(made.scan, heads[0], made.start)):
+        assert np.array_equal(first.robot_from_ct.as_matrix(), other.robot_from_ct.as_matrix())
+        assert first.predict(TARGETS_MM[0]).limit_mm() == other.predict(TARGETS_MM[0]).limit_mm()
+
+
+def test_the_cloud_alone_finds_its_pose(heads, scan_of):
+    made = scan_of(heads[1], 11)
+    found = register_surface(made.scan, heads[1])
+    assert np.linalg.norm(made.errors_mm(found.robot_from_ct), axis=1).max() < 1.0
+
+
+def test_three_landmarks_are_a_start(heads, scan_of, random):
+    made = scan_of(heads[1], 12)
+    landmarks = np.array([[0.0, -95.0, -40.0], [78.0, 5.0, -42.0], [-78.0, 5.0, -42.0]])
+    pointed = made.truth.apply(landmarks) + random.normal(size=(3, 3)) * 2.0
+    found = register_surface(made.scan, heads[1], Start.from_landmarks(landmarks, pointed))
+    assert np.linalg.norm(made.errors_mm(found.robot_from_ct), axis=1).max() < 1.0
+
+
+def test_a_hand_in_the_scan_is_excluded_and_changes_little(heads, scan_of):
+    def hand(places):
+        return np.where(np.linalg.norm(places - [60.0, -40.0, 10.0], axis=1) < 35.0, 25.0, 0.0)
+
+    made = scan_of(heads[0], 13, outwards=hand)
+    found = register_surface(made.scan, heads[0], made.start)
+    assert found.excluded.sum() >= 3
+    assert np.abs(found.residuals_mm[~found.excluded]).max() < 3.0
+    assert np.linalg.norm(made.errors_mm(found.robot_from_ct), axis=1).max() < 1.0
+
+
+def test_an_error_that_the_arm_has_at_the_target_too_cancels(heads, scan_of):
+    made = scan_of(heads[0], 14, views=FACE)
+    looks, step = len(np.unique(made.scan.look)), 2.0 * np.eye(3)
+    arm = [SharedErrors("tool", np.tile(step, (looks, 1, 1)), step)]
+    wide = SurfaceLimits(largest_error_mm=20.0)
+    found = register_surface(made.scan, heads[0], made.start, arm=arm, limits=wide)
+    alone = register_surface(made.scan, heads[0], made.start)
+    assert found.predict(TARGETS_MM[0]).rms_mm > 3.0
+    together = found.predict(TARGETS_MM[0], arm)
+    assert together.rms_mm == pytest.approx(alone.predict(TARGETS_MM[0]).rms_mm, rel=0.1)
+
+
+def test_the_misfit_that_the_scan_has_is_found(heads, scan_of):
+    small, large = (
+        register_surface((made := scan_of(heads[0], 15, misfit_mm=size)).scan, heads[0], made.start)
+        for size in (0.05, 0.4)
+    )
+    assert small.misfit_mm < 0.15
+    assert 0.25 < large.misfit_mm < 0.9
+    assert large.predict(TARGETS_MM[0]).limit_mm() > 1.5 * small.predict(TARGETS_MM[0]).limit_mm()
+
+
+def test_closest_points_of_the_thesis_register_the_same_scan(heads, scan_of):
+    made = scan_of(heads[0], 16)
+    pose = register_by_closest_points(made.scan, heads[0], made.start)
+    assert np.linalg.norm(made.errors_mm(pose), axis=1).max() < 5.0
