@@ -7,14 +7,21 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.ct_surface import CtSurface, find_skin
+from procedures.imaging.volume import Volume
 from procedures.journal.results import Values
+from procedures.planning.faced_head import face_bodies, fit_cranium_and_face
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.plan_model import FiducialKind
 from procedures.registration.surface.errors import NO_PATIENT_FRAME, NO_PROJECTOR
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.conditions import needs_guide_unmounted
+from ronna_hw.arm.clearance.bodies import Obstacle
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.sensors import line_projector
+
+LEAST_TOLD = 0.01  # of the boundary, for a part that is not used to be told of
 
 
 class ExcludedSkin(Values):
@@ -30,6 +37,14 @@ class SkinInCt(LocalizedFiducials, kind="skin_in_ct"):
 
     samples: int = Field(description="Places on the skin that the scan may be registered to.")
     excluded: tuple[ExcludedSkin, ...] = Field(description="Parts that it may not.")
+    cranium: HeadEllipsoid = Field(description="Ellipsoid around the cranium.")
+    face: HeadEllipsoid = Field(description="Ellipsoid around what is below it.")
+
+    def head_in(self, volume: Volume) -> HeadEllipsoid:
+        return self.cranium
+
+    def bodies_on_head(self, fiducials: FiducialKind) -> tuple[Obstacle, ...]:
+        return face_bodies(self.face)
 
 
 def run(context: StepContext) -> Outcome[SkinInCt]:
@@ -41,6 +56,7 @@ def run(context: StepContext) -> Outcome[SkinInCt]:
         raise NO_PATIENT_FRAME("this theatre has no frame on the head clamp")
     context.result(ImportedCt)
     skin = skin_of(context)
+    cranium, face = fit_cranium_and_face(skin)
     return Outcome(
         SkinInCt(
             series_instance_uid=volume_of(context).series_instance_uid,
@@ -48,13 +64,17 @@ def run(context: StepContext) -> Outcome[SkinInCt]:
             markers=(),
             doubtful=(),
             samples=len(skin.points_mm),
+            cranium=cranium,
+            face=face,
             excluded=tuple(
                 ExcludedSkin(reason=str(one.reason), share=one.share, middle_mm=one.middle_ct_mm)
                 for one in skin.excluded
             ),
         ),
         summary=f"{len(skin.points_mm)} places on the skin"
-        + "".join(f"; not used: {one.share:.0%}, {one.reason}" for one in skin.excluded),
+        + "".join(
+            f"; not used: {one.share:.0%}, {one.reason}" for one in skin.excluded if one.share >= LEAST_TOLD
+        ),
     )
 
 
