@@ -168,6 +168,8 @@ class RoomReading:
         `in_place_mm` of that place: there, a sphere is more likely.
         """
         seen_mm = self.spheres_mm
+        if not len(spheres_mm):  # a head without markers: strays are reflections and ghosts
+            return []
         pairs = identify_points(spheres_mm, seen_mm)
         if pairs is None:
             apart = np.linalg.norm(spheres_mm[:, None] - seen_mm[None], axis=2)

@@ -249,7 +249,7 @@ class RoomWatch:
         move = self.tracker.move
         here = self.robot_from_tracker @ move.inverse()
         places = (self.spheres_mm, *(() if self.clamp_mm is None else (self.clamp_mm,)))
-        return tuple(TrackerSight(here, move.apply(one)) for one in places)
+        return tuple(TrackerSight(here, move.apply(one)) for one in places if len(one))
 
     def compare(self, reading: RoomReading | JudgedReading, now_s: float = 0.0) -> RoomLook:
         """Hold a reading against all looks before, and count it among them if nothing has moved.
@@ -372,9 +372,9 @@ class RoomWatch:
         self.tracker_moved(self.tracker)
         if push is None:
             return self.judge(reading), ("the tracker was moved by little; arm and head agree",)
-        at_head_mm = math.sqrt(
-            float(((push.apply(self.spheres_mm) - self.spheres_mm) ** 2).sum(axis=1).mean())
-        )
+        at_head = self.spheres_mm if len(self.spheres_mm) else self.clamp_mm
+        assert at_head is not None  # a head is watched by spheres, or by the frame on its clamp
+        at_head_mm = math.sqrt(float(((push.apply(at_head) - at_head) ** 2).sum(axis=1).mean()))
         turned_deg = math.degrees(float(push.rigid.rotation.magnitude()))
         return self.judge(reading.moved_by(push.inverse(), self.robot_from_tracker)), (
             f"the tracker was moved: by {at_head_mm:.1f} mm as seen at the head, turned by {turned_deg:.2f} "
@@ -408,7 +408,7 @@ class RoomWatch:
 
     def _tell_by_frame(self, *, hidden: bool) -> tuple[str, ...]:
         """Return a finding when the spheres have become hidden and only the frame on the clamp is watched."""
-        is_new = hidden and not self._by_frame_only
+        is_new = hidden and not self._by_frame_only and len(self.spheres_mm) > 0
         self._by_frame_only = hidden
         if not is_new:
             return ()

@@ -45,7 +45,7 @@ from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.vectors import JointVector, vector3
 
 ACROSS_MM = (0.0, 6.0, -6.0)  # places of the line across a look, along the tool's y axis
-LINE_AREA_PX = (2048, 512)  # the whole line, and skin up to 12 mm nearer or farther than expected
+LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
 DECIMALS = 4  # of a point in the record, mm
 SMALL_STEPS = "the small steps across each place on the skin"
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
