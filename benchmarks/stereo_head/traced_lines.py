@@ -2,9 +2,10 @@
 
     python -m benchmarks.stereo_head.traced_lines FOLDER [--keep JSON] [--pictures PNG]
 
-FOLDER holds views by `benchmarks/peers/line_tracer.py`. Prints one row per kind of picture: error of the
-centre in px with its normalized square, and of the points in mm, as they are and about their mean offset along
-the tool axis in each view. `--pictures` writes a crop of each kind.
+FOLDER holds views by `benchmarks/peers/line_tracer.py`; those without light from inside are left out where it
+is mixed in. Prints one row per kind of picture: error of the
+centre in px with its normalized square, and of the points in mm, as they are and about their mean offset
+along the tool axis in each view. `--pictures` writes a crop of each kind.
 
 A view is linear light in parts, which are mixed here: lamps of the room, the line on the surface of the skin,
 and the line scattered inside. Speckle is drawn on top: a path tracer has no waves.
@@ -108,6 +109,8 @@ def measure_kind(files: list[Path], kind: Skin) -> tuple[dict[str, float], list[
     views, refused = [], 0
     for file in files:
         with np.load(file) as view:
+            if kind.inside and "left_inside" not in view:
+                continue
             try:
                 views.append(measure_view(dict(view), kind, np.random.default_rng([int(file.stem), 77])))
             except DataError as fault:
@@ -166,23 +169,26 @@ def measure_view(view: dict[str, Any], kind: Skin, random: np.random.Generator) 
 
 def expose(view: dict[str, Any], side: str, kind: Skin, random: np.random.Generator) -> Iterator[AreaImage]:
     """Yield the picture with the line and the one without."""
-    parts = {part: view[f"{side}_{part}"].astype(float) for part in ("room", "surface", "inside")}
-    line = sum(
-        share * parts[part] / np.percentile(parts[part], BRIGHTEST_PERCENTILE)
-        for part, share in (("surface", 1.0 - kind.inside), ("inside", kind.inside))
-    )
+    line = _scaled(view[f"{side}_surface"])
+    if kind.inside:
+        line = (1.0 - kind.inside) * line + kind.inside * _scaled(view[f"{side}_inside"])
     if kind.speckle:
         waves = (cv2.GaussianBlur(random.standard_normal(line.shape), (0, 0), SPECKLE_PX) for _ in range(2))
         grain = sum(wave**2 for wave in waves)
         line = line * (1.0 + kind.speckle * (grain / grain.mean() - 1.0))
     line = line * kind.line / np.percentile(line, BRIGHTEST_PERCENTILE)
-    room = kind.room * parts["room"] / parts["room"].mean()
+    lamps = view[f"{side}_room"].astype(float)
+    room = kind.room * lamps / lamps.mean()
     x, y = (int(each) for each in view[f"{side}_offset_px"])
     for light in (room + line, room):
         electrons = light * ELECTRONS_PER_GREY
         noise = np.sqrt(electrons + READ_NOISE_ELECTRONS**2) * random.standard_normal(light.shape)
         grey = (electrons + noise) / ELECTRONS_PER_GREY + BLACK_GREY
         yield AreaImage(np.clip(np.rint(grey), 0, 255).astype(np.uint8), x, y)
+
+
+def _scaled(light: Array) -> Array:
+    return np.asarray(light / np.percentile(light, BRIGHTEST_PERCENTILE), dtype=float)
 
 
 def calibration_of(view: dict[str, Any]) -> StereoHeadCalibration:

@@ -1,4 +1,4 @@
-"""Errors in stereo head measurements, STE-001 to STE-018. Data errors are also `ValueError`s."""
+"""Errors in stereo head measurements, STE-001 to STE-019. Data errors are also `ValueError`s."""
 
 from __future__ import annotations
 
@@ -139,4 +139,12 @@ LINE_MOVED = ErrorCode(
     RefusedError,
     "The plane or the width of the laser line differs from its record.",
     "Check the projector's mount and focus, and the head with ronna-stereo check; record the line again.",
+)
+
+
+NO_LINE_PICTURES = ErrorCode(
+    "STE-019",
+    DataError,
+    "The folder has no pairs of pictures of a laser line, or one of them cannot be read.",
+    "Give a folder with NAME-left.png and NAME-right.png; without the line, NAME-left-dark.png and so on.",
 )

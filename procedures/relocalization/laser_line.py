@@ -85,12 +85,12 @@ def measure_line(lit: AreaImage, dark: AreaImage | None = None, *, spacing_px: i
     `dark` is the same view without the line; without it, ambient light is taken from beside the line. Raises
     STE-001 for what is no image or two different areas, STE-011 when saturated, STE-015 without a line.
     """
-    grey = validate_image(lit.pixels)
+    grey: GreyImage = validate_image(lit.pixels)
     light = grey if dark is None else _subtract(lit, dark)
     small = halve_image(light, HALVINGS)
     turned = runs_along_rows(small)
     if turned:
-        grey, light, small = (np.ascontiguousarray(each.T) for each in (grey, light, small))
+        grey, light, small = (_transposed(each) for each in (grey, light, small))
     ridges = find_ridges(small)
     if not len(ridges.row):
         _refuse(grey, ridges)
@@ -113,6 +113,11 @@ def _subtract(lit: AreaImage, dark: AreaImage) -> GreyImage:
     with single_threaded():
         light: GreyImage = cv2.subtract(validate_image(lit.pixels), ambient)
     return light
+
+
+def _transposed(image: GreyImage) -> GreyImage:
+    turned: GreyImage = np.ascontiguousarray(image.T)  # type: ignore[assignment]  # NumPy widens the dtype
+    return turned
 
 
 def _refuse(grey: GreyImage, ridges: Ridges) -> None:
@@ -236,7 +241,7 @@ class _Groups:
 
     def add(self, values: NDArray[np.float64] | Mask) -> Array:
         """Return the sum over each group."""
-        return np.bincount(self.of_row, values, len(self.branch))
+        return np.bincount(self.of_row, values, len(self.branch)).astype(float)
 
     def smooth(self, centre: Array, score: Array, slope: Array, kept: Mask) -> Array:
         """Return the centre in each row on straight pieces between the means of the groups."""

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from procedures.relocalization.errors import LINE_MOVED
 from ronna_hw.arrays import Array
+from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.robust_scale import robust_sigma
 
 LARGEST_SHIFT_MM = 0.1  # of the plane at the tool centre point; a line is about 0.2 mm wide
 LARGEST_TURN_RAD = 0.005  # 0.1 mm at the ends of a line of 24 mm, twice over
 LARGEST_WIDENING = 0.3  # relative
+OUTLIER_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -38,19 +42,27 @@ class LightPlane:
         return np.sqrt(np.einsum("i,nij,j->n", self.normal, covariance_mm2, self.normal))
 
 
-@dataclass(frozen=True)
-class LineRecord:
-    """Plane of the light and its width, a standard deviation at the tool centre point, as recorded."""
+class LineRecord(Strict):
+    """Plane of the light in the tool frame and width of the line, as recorded."""
 
-    plane: LightPlane
-    width_mm: float
-    lines: int
+    normal: Numbers3 = Field(description="Unit normal of the plane.")
+    offset_mm: float = Field(description="Distance of the plane from the tool centre point along it.")
+    rms_mm: Annotated[float, Field(ge=0)] = Field(description="Scatter of the points about the plane.")
+    spread_mm: tuple[float, float] = Field(description="Standard deviations of the points within the plane.")
+    width_mm: Annotated[float, Field(gt=0)] = Field(
+        description="Width of the line at its points, one standard deviation of its profile."
+    )
+    lines: Annotated[int, Field(ge=1)] = Field(description="Number of lines.")
+
+    @property
+    def plane(self) -> LightPlane:
+        """Plane in computational form."""
+        return LightPlane(np.array(self.normal), self.offset_mm, self.rms_mm, self.spread_mm)
 
     def compare(self, other: LineRecord) -> tuple[float, float, float]:
         """Return shift at the tool centre point in mm, turn in rad, and widening of another record."""
-        along = float(np.clip(self.plane.normal @ other.plane.normal, -1.0, 1.0))
-        sign = 1.0 if along >= 0.0 else -1.0
-        shift = sign * other.plane.offset_mm - self.plane.offset_mm
+        along = float(np.clip(np.dot(self.normal, other.normal), -1.0, 1.0))
+        shift = (other.offset_mm if along >= 0.0 else -other.offset_mm) - self.offset_mm
         return shift, float(np.arccos(abs(along))), other.width_mm / self.width_mm - 1.0
 
     def require_same(self, other: LineRecord) -> None:
@@ -85,7 +97,14 @@ def record_line(lines_mm: Sequence[Array], widths_mm: Sequence[float]) -> LineRe
     Points further off than four times the usual scatter are left out.
     """
     points = np.concatenate(lines_mm)
-    plane = fit_plane(points)
-    distance = plane.distance_mm(points)
-    kept = np.abs(distance) <= 4.0 * robust_sigma(distance)
-    return LineRecord(fit_plane(points[kept]), float(np.median(widths_mm)), len(lines_mm))
+    distance = fit_plane(points).distance_mm(points)
+    plane = fit_plane(points[np.abs(distance) <= OUTLIER_SIGMAS * robust_sigma(distance)])
+    x, y, z = plane.normal.tolist()
+    return LineRecord(
+        normal=(x, y, z),
+        offset_mm=plane.offset_mm,
+        rms_mm=plane.rms_mm,
+        spread_mm=plane.spread_mm,
+        width_mm=float(np.median(widths_mm)),
+        lines=len(lines_mm),
+    )

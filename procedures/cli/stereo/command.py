@@ -18,10 +18,12 @@ if TYPE_CHECKING:
     from procedures.relocalization import SphereImage
     from procedures.reporting.calibration_figures import BallFigures, HeadCheckFigures
     from procedures.workcell.stereo_look import Look
+    from ronna_hw.calibration import StereoHeadCalibration
     from ronna_hw.config import Calibrations
 
 Triple = tuple[float, float, float]
 LARGE_PICTURE_PX = 544  # half the sensor's rows
+LINE_FILE = "laser-line.json"  # beside the baseline
 
 app = terminal.command_group(
     "ronna-stereo",
@@ -65,6 +67,15 @@ def check(
     ],
     options: MeasuringOptions,
     visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation.")] = 3,
+    line: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Also check the laser line in pictures NAME-left.png, NAME-right.png (without the line: "
+            "NAME-left-dark.png, NAME-right-dark.png) [the first time its plane and width are recorded "
+            "beside the baseline].",
+        ),
+    ] = None,
 ) -> None:
     """Measure the ball again from the eight orientations of the calibration: has a camera or mount moved?
 
@@ -86,6 +97,8 @@ def check(
         )
     recorded = read_strict(Baseline, file)
     recorded.require_complete()
+    if line is not None:
+        _check_line(line, file.with_name(LINE_FILE), recorded.stereo_head)
     from procedures.cli.calibrating.calibration import check_calibration
     from procedures.runs.calibrations import head_check_figures
     from procedures.runs.request import Measurement
@@ -151,6 +164,31 @@ def measure(
         from procedures.reporting.calibration_figures import write_figures
 
         write_figures(show_look(measured_look, as_json=options.as_json), folder)
+
+
+def _check_line(pictures: Path, file: Path, head: StereoHeadCalibration) -> None:
+    """Compare plane and width of the laser line with their record, or record them for the first time.
+
+    Raises STE-018 if they differ.
+    """
+    from procedures.calibration.observations import read_strict
+    from procedures.relocalization.light_plane import LineRecord
+    from procedures.relocalization.line_pictures import record_pictures
+    from ronna_hw.records import write_atomically
+
+    measured = record_pictures(pictures, head)
+    pairs = f"laser line in {measured.lines} pair{'s' if measured.lines > 1 else ''} of pictures"
+    if not file.exists():
+        write_atomically(file, measured.model_dump_json(indent=1).encode())
+        terminal.tell(f"{pairs}: width {measured.width_mm:.3f} mm, plane recorded in {file}")
+        return
+    recorded = read_strict(LineRecord, file)
+    shift_mm, turn_rad, widening = recorded.compare(measured)
+    terminal.tell(
+        f"{pairs}: plane shifted by {shift_mm:.3f} mm and turned by {1000 * turn_rad:.1f} mrad, "
+        f"width {measured.width_mm:.3f} mm, changed by {widening:.0%}"
+    )
+    recorded.require_same(measured)
 
 
 def _print_check(figures: HeadCheckFigures) -> None:

@@ -1,0 +1,86 @@
+"""Scan of a surface as PLY (points for any viewer) and as VTP (VTK's poly data, for ParaView and 3D Slicer).
+
+Both are text with full precision, written with the standard library: of the packages that write them, meshio
+has no VTP, and VTK has a hundred megabytes. Coordinates are mm in the named frame, which both files say.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.registration.surface.scan import SurfaceScan
+from ronna_hw.frames import Frame
+from ronna_hw.records import write_atomically
+
+# Rows and columns of the upper triangle, in VTK's order of a symmetric tensor
+TENSOR_ROWS, TENSOR_COLUMNS = (0, 1, 2, 0, 1, 0), (0, 1, 2, 1, 2, 2)
+TENSOR_NAMES = ("xx", "yy", "zz", "xy", "yz", "xz")
+NUMBER = "%.9g"  # a nanometre at one metre
+
+
+def write_ply(scan: SurfaceScan, file: Path, frame: Frame = Frame.ROBOT) -> None:
+    """Write the points with view, covariance, look and line as properties of each vertex."""
+    decimal = ["x", "y", "z", "view_x", "view_y", "view_z", *(f"covariance_{each}" for each in TENSOR_NAMES)]
+    header = [
+        "ply",
+        "format ascii 1.0",
+        f"comment points of a scanned surface, mm, in the frame {frame}; covariances in mm2",
+        f"element vertex {len(scan)}",
+        *(f"property double {each}" for each in decimal),
+        "property int look",
+        "property int line",
+        "end_header",
+    ]
+    columns = np.column_stack([scan.points_mm, scan.view_mm, _tensor(scan), scan.look, scan.line])
+    form = " ".join([*[NUMBER] * len(decimal), "%d", "%d"])
+    rows = [form % tuple(row) for row in columns.tolist()]
+    write_atomically(file, ("\n".join([*header, *rows]) + "\n").encode("ascii"))
+
+
+def write_vtp(scan: SurfaceScan, file: Path, frame: Frame = Frame.ROBOT) -> None:
+    """Write the points as one vertex cell each, with the same values as point data."""
+    count = str(len(scan))
+    root = ElementTree.Element("VTKFile", type="PolyData", version="1.0", byte_order="LittleEndian")
+    data = ElementTree.SubElement(root, "PolyData")
+    field = ElementTree.SubElement(data, "FieldData")
+    codes = " ".join(str(code) for code in f"{frame}, mm".encode("ascii"))
+    name = ElementTree.SubElement(
+        field, "DataArray", type="String", Name="frame", NumberOfTuples="1", format="ascii"
+    )
+    name.text = f"{codes} 0"
+    none = {f"NumberOf{each}": "0" for each in ("Lines", "Strips", "Polys")}
+    piece = ElementTree.SubElement(data, "Piece", NumberOfPoints=count, NumberOfVerts=count, **none)
+    values = ElementTree.SubElement(piece, "PointData")
+    _add(values, "view_mm", scan.view_mm)
+    _add(values, "covariance_mm2", _tensor(scan))
+    _add(values, "look", scan.look)
+    _add(values, "line", scan.line)
+    _add(ElementTree.SubElement(piece, "Points"), "points_mm", scan.points_mm)
+    cells = ElementTree.SubElement(piece, "Verts")
+    _add(cells, "connectivity", np.arange(len(scan)))
+    _add(cells, "offsets", np.arange(len(scan)) + 1)
+    write_atomically(file, ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _tensor(scan: SurfaceScan) -> NDArray[np.float64]:
+    return scan.covariance_mm2[:, TENSOR_ROWS, TENSOR_COLUMNS]
+
+
+def _add(parent: ElementTree.Element, name: str, values: NDArray[np.float64] | NDArray[np.int64]) -> None:
+    is_whole = np.issubdtype(values.dtype, np.integer)
+    width = values.shape[1] if values.ndim == 2 else 1
+    element = ElementTree.SubElement(
+        parent,
+        "DataArray",
+        type="Int64" if is_whole else "Float64",
+        Name=name,
+        NumberOfComponents=str(width),
+        format="ascii",
+    )
+    form = " ".join(["%d" if is_whole else NUMBER] * width)
+    rows = values.reshape(len(values), width).tolist()
+    element.text = "\n".join(form % tuple(row) for row in rows)

@@ -1,0 +1,53 @@
+"""A scan written as PLY or VTP holds every point with its covariance, look and line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from procedures.exchange.surface_files import write_ply, write_vtp
+from procedures.registration.surface.scan import SurfaceScan
+
+
+@pytest.fixture
+def scan() -> SurfaceScan:
+    random = np.random.default_rng(4)
+    half = random.normal(size=(5, 3, 3))
+    return SurfaceScan(
+        points_mm=random.uniform(-900.0, 900.0, (5, 3)),
+        covariance_mm2=1e-4 * half @ half.transpose(0, 2, 1) + 1e-6 * np.eye(3),
+        look=np.array([0, 0, 1, 1, 1]),
+        line=np.arange(5),
+        view_mm=random.uniform(-900.0, 900.0, (5, 3)),
+    )
+
+
+def test_ply_names_its_columns_and_keeps_nanometres(scan: SurfaceScan, tmp_path: Path) -> None:
+    write_ply(scan, tmp_path / "scan.ply")
+
+    lines = (tmp_path / "scan.ply").read_text().splitlines()
+    names = [each.split()[-1] for each in lines if each.startswith("property")]
+    rows = np.loadtxt(lines[lines.index("end_header") + 1 :])
+    column = {name: rows[:, index] for index, name in enumerate(names)}
+    assert lines[:2] == ["ply", "format ascii 1.0"]
+    assert "robot" in lines[2]
+    np.testing.assert_allclose(np.column_stack([column[each] for each in "xyz"]), scan.points_mm, atol=1e-6)
+    np.testing.assert_allclose(column["covariance_yz"], scan.covariance_mm2[:, 1, 2], rtol=1e-8)
+    assert column["look"].tolist() == [0, 0, 1, 1, 1]
+
+
+def test_vtp_has_one_vertex_for_each_point(scan: SurfaceScan, tmp_path: Path) -> None:
+    write_vtp(scan, tmp_path / "scan.vtp")
+
+    root = ElementTree.parse(tmp_path / "scan.vtp").getroot()
+    arrays = {each.get("Name"): each for each in root.iter("DataArray")}
+    piece = root.find("PolyData/Piece")
+    assert piece is not None
+    assert piece.get("NumberOfVerts") == "5"
+    points = np.array((arrays["points_mm"].text or "").split(), float).reshape(-1, 3)
+    np.testing.assert_allclose(points, scan.points_mm, atol=1e-6)
+    assert arrays["covariance_mm2"].get("NumberOfComponents") == "6"
+    assert (arrays["line"].text or "").split() == ["0", "1", "2", "3", "4"]
