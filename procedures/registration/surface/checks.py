@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -32,6 +33,7 @@ COVERED_MM = 10.0  # a sample this near to a scanned point is covered
 CLEARLY_MIRRORED_MM2 = 0.1  # between the mean squares of the two sides: a third of a millimetre
 START_SIGMAS = 4.0
 MOVED_TURN_RAD, MOVED_MM = np.radians(1.0), 2.0  # of a head or cart that moved between looks (U)
+MOST_SPLITS = 12  # moments of a movement that are tried: the next one is near enough
 MOVED_EVIDENCE = 8.0  # log Bayes factor: one in three thousand, several movements tried
 CHANGED_MM = 1.0  # of skin that was pressed or swells (U)
 CHANGED_EVIDENCE = 6.0  # log Bayes factor, above which a region is excluded
@@ -135,11 +137,12 @@ def is_side_proven(
     return there > here + CLEARLY_MIRRORED_MM2
 
 
-def require_still(model: MisfitModel, jacobian: Array, distances_mm: Array, look: Array) -> None:
+def require_still(model: MisfitModel, jacobian: Array, distances_mm: Array, look: NDArray[np.int64]) -> None:
     """Raise SRF-007 if some looks were taken of a head elsewhere: one of them, or all from one on."""
     numbers = np.unique(look)
-    groups = {f"from look {one} on": look >= one for one in numbers[1:]}
-    groups |= {f"at look {one}": look == one for one in numbers[1:-1]}
+    groups = {f"from look {one} on": look >= one for one in numbers[1 :: 1 + len(numbers) // MOST_SPLITS]}
+    if len(numbers) <= MOST_SPLITS:
+        groups |= {f"at look {one}": look == one for one in numbers[1:-1]}
     groups = {name: rows for name, rows in groups.items() if rows.sum() >= FEWEST_IN_GROUP}
     size = np.repeat([MOVED_TURN_RAD, MOVED_MM], 3)
     columns = [jacobian * size * rows[:, None] for rows in groups.values()]

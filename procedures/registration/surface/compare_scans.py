@@ -23,7 +23,7 @@ from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import NEAR_MM, Pose, Settled
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import thin_points
-from ronna_hw.arrays import Array
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Transform
 
 COMMON_MM = 8.0  # from a point of the second scan to those of the first
@@ -88,8 +88,8 @@ def compare_scans(
 
 
 def _read_before(
-    before: Settled, first: SurfaceScan, kept: Array, after: Settled
-) -> tuple[Array, Array, Array]:
+    before: Settled, first: SurfaceScan, kept: Mask, after: Settled
+) -> tuple[Array, Array, Mask]:
     """Return the first scan's mean distance around points of the second, its noise, and where it is."""
     places, distances, noise = before.places_mm[kept], before.distances_mm[kept], _along(before, first)[kept]
     apart, near = cKDTree(places).query(after.places_mm, k=NEIGHBOURS, distance_upper_bound=COMMON_MM)
@@ -99,7 +99,7 @@ def _read_before(
     total = np.where(there.any(axis=1), weight.sum(axis=1), 1.0)
     mean = (weight * distances[near]).sum(axis=1) / total
     variance = (weight**2 * noise[near]).sum(axis=1) / total**2
-    return mean, variance, there.any(axis=1)
+    return mean, variance, np.asarray(there.any(axis=1))
 
 
 def _along(found: Settled, scan: SurfaceScan) -> Array:

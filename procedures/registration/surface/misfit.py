@@ -140,5 +140,6 @@ class MisfitModel:
             likelihoods.append(-0.5 * (log_determinant + chi_square + np.linalg.slogdet(normal)[1]))
         logs = np.array(likelihoods)
         weights = np.exp(logs + self.log_prior - (logs + self.log_prior).max())
-        parts = (np.array(one) for one in (shifts, covariances, gains))
-        return PoseMixture(weights / weights.sum(), *parts, logs)
+        return PoseMixture(
+            weights / weights.sum(), np.array(shifts), np.array(covariances), np.array(gains), logs
+        )

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.registration.surface.surface import Surface
 from ronna_hw.arrays import Array
@@ -51,7 +52,7 @@ class HeadAxes:
         """Return how far points (n, 3) lie below the vertex, scaled to a usual head."""
         return np.asarray((self.vertex_mm - points_mm[:, 2]) / self.scale)
 
-    def name_parts(self, points_mm: Array) -> np.ndarray:
+    def name_parts(self, points_mm: Array) -> NDArray[np.object_]:
         """Name the part of the head that each point (n, 3) belongs to."""
         depth = self.depth_mm(points_mm)
         across = (points_mm[:, 0] - self.middle_mm[0]) / self.scale

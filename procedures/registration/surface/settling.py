@@ -103,7 +103,7 @@ def settle(
         weighted = jacobian * cauchy_weights(distances, sigma)[:, None]
         normal = weighted.T @ jacobian
         normal[np.diag_indices(6)] *= 1.0 + RIDGE
-        shift = -np.linalg.lstsq(normal, weighted.T @ distances, rcond=None)[0]
+        shift: Array = -np.linalg.lstsq(normal, weighted.T @ distances, rcond=None)[0]
         found = Settled.at(found.pose.moved(shift, centre), points_mm, view_mm, surface)
         if np.linalg.norm(shift[3:]) < STILL_MM and np.linalg.norm(shift[:3]) < STILL_RAD:
             break

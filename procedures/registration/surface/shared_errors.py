@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.registration.surface.errors import BAD_SURFACE_INPUT
 from procedures.registration.surface.scan import SurfaceScan
@@ -26,7 +27,7 @@ class ErrorColumns:
     displacements_mm: Array
 
     @classmethod
-    def of(cls, sources: Sources, scan: SurfaceScan, rows: Array) -> Self:
+    def of(cls, sources: Sources, scan: SurfaceScan, rows: NDArray[np.int64]) -> Self:
         """Collect the columns for some points of a scan. Raises SRF-001 for other numbers of rows.
 
         A source has a row for each look, in the order of their numbers, or a shared one for each point.

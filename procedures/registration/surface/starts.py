@@ -82,14 +82,15 @@ def find_pose(points_mm: Array, view_mm: Array, surface: Surface, same_head_mm: 
     middle = (seen @ samples) / np.maximum(seen.sum(axis=1), 1)[:, None]
     translations = middle - rotations @ points.mean(axis=0)
     tree = cKDTree(samples)
-    poses = rotations, translations
     for steps, kept in ((FIRST_STEPS, KEPT_FIRST), (NEXT_STEPS, KEPT_NEXT)):
-        *poses_now, residuals_mm = _approach(*poses, points, samples, tree, steps)
-        best = np.argsort(residuals_mm, kind="stable")
+        rotations, translations, residuals_mm = _approach(
+            rotations, translations, points, samples, tree, steps
+        )
+        best = np.argsort(residuals_mm, kind="stable").tolist()
         if kept == KEPT_NEXT:
-            best = _distinct(*poses_now, best, points.mean(axis=0))
-        poses = poses_now[0][best[:kept]], poses_now[1][best[:kept]]
-    settled = [settle(Pose(*one), points, view, surface) for one in zip(*poses, strict=True)]
+            best = _distinct(rotations, translations, best, points.mean(axis=0))
+        rotations, translations = rotations[best[:kept]], translations[best[:kept]]
+    settled = [settle(Pose(*one), points, view, surface) for one in zip(rotations, translations, strict=True)]
     settled = sorted((one for one in settled if one.valid.mean() > 0.5), key=lambda one: one.capped_mm2)
     if not settled:
         raise LITTLE_COVERAGE("no pose puts the scan on the head", got=f"{len(points)} points")
@@ -141,12 +142,12 @@ def _approach(
     return rotations, translations, residuals
 
 
-def _distinct(rotations: Array, translations: Array, order: Array, at_mm: Array) -> Array:
+def _distinct(rotations: Array, translations: Array, order: list[int], at_mm: Array) -> list[int]:
     """Drop poses that nearly repeat a better one; `order` lists the best first."""
     kept: list[int] = []
-    for row in order.tolist():
+    for row in order:
         pose = Pose(rotations[row], translations[row])
         apart = (difference(pose, Pose(rotations[one], translations[one]), at_mm) for one in kept)
         if all(turn > SAME_TURN_RAD or place > SAME_PLACE_MM for turn, place in apart):
             kept.append(row)
-    return np.array(kept)
+    return kept

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ronna_hw.arrays import Array
 
@@ -11,7 +12,7 @@ FIRST_SPACING_MM = 3.0
 WIDER = 1.1
 
 
-def thin_points(points_mm: Array, most: int = MOST_POINTS) -> tuple[np.ndarray, float]:
+def thin_points(points_mm: Array, most: int = MOST_POINTS) -> tuple[NDArray[np.int64], float]:
     """Return the rows of about equally spaced points, in order of their place, and their spacing in mm.
 
     Of all points in a cell of the grid, the one nearest to their mean is kept.

@@ -144,9 +144,7 @@ def test_numbers_that_mean_nothing_are_refused(heads, scan_of):
     with raises(BAD_POINTS):
         register_surface(made.scan, heads[0], made.start, targets_ct_mm=[np.nan, 0.0, 0.0])
     with raises(BAD_SURFACE_INPUT):
-        register_surface(
-            made.scan, heads[0], made.start, arm=[SharedErrors("arm", np.zeros((2, 3, 1)), np.zeros((3, 1)))]
-        )
+        register_surface(made.scan, heads[0], made.start, arm=[no_look])
     with raises(BAD_SURFACE_INPUT):
         Start(made.truth, np.nan, 1.0)
 
