@@ -9,10 +9,10 @@ from copy import deepcopy
 from ronna_hw.clock import SharedClock
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.acquisition import Acquisition
-from sim.basler.camera.output_line import exposure_level
 from sim.basler.camera.photographer import Photographer
 from sim.basler.control.bootstrap import Identity, add_bootstrap, add_message_channel
 from sim.basler.control.feature_table import add_features
+from sim.basler.control.output_line import exposure_level
 from sim.basler.control.port import Actions, GvcpPort, ReplayCache
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import RegisterMap, RegisterRefusal

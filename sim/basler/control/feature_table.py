@@ -29,7 +29,7 @@ from sim.basler.camera.features import (
     resolve_limit,
     setting,
 )
-from sim.basler.camera.output_line import LINE_FEATURES
+from sim.basler.control.output_line import LINE_FEATURES
 from sim.basler.control.registers import RegisterMap, RegisterRefusal, RegisterWord
 from sim.basler.settings import EventKind, UserSet
 from sim.basler.stream_channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMALLEST_PACKET_SIZE

@@ -359,6 +359,7 @@ ROWS = (
             *("omit frames left", "shuffle both", "duplicate left 20 %", "defocus left 3 px"),
             *("expose late left 5 ms", "drift left +200 ppm", "reset clock left", "delay answers left 50 ms"),
             *("pulse line", "lose answers left 10 %", "announce answers left 50 ms", "lose events left 50 %"),
+            *("lamp 5 %", "hand 5 mm", "projector dark", "hold line both"),  # the latter for a projector only
         )
     ),
     *(

@@ -49,6 +49,7 @@ def make_pair(stand: Stand) -> Iterator[MakePair]:
         pair.close()
 
 
+@pytest.mark.hazard(69)
 @pytest.mark.parametrize("source", ["UserOutput", "ExposureActive"])
 def test_the_projector_lights_exposures_until_the_streams_stop(
     stand: Stand, make_pair: MakePair, source: str
@@ -66,6 +67,7 @@ def test_the_projector_lights_exposures_until_the_streams_stop(
     assert (pair.projector_on, stand.left.lights_exposure) == (False, False)
 
 
+@pytest.mark.hazard(69)
 def test_closing_switches_the_projector_off(stand: Stand, make_pair: MakePair) -> None:
     pair = make_pair(line="Out1")
     pair.configure()
@@ -83,6 +85,7 @@ def test_an_inverted_projector_is_lit_while_its_line_is_low(stand: Stand, make_p
     assert not stand.left.lights_exposure
 
 
+@pytest.mark.hazard(69)
 def test_a_line_that_does_not_follow_is_an_error(
     stand: Stand, make_pair: MakePair, monkeypatch: pytest.MonkeyPatch
 ) -> None:

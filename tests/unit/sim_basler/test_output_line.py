@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.settings import Line, LineSource
 
@@ -51,6 +53,7 @@ def test_the_line_keeps_its_level_when_control_is_released_and_loses_it_on_a_res
     assert bench.get("UserOutputValue") == 0
 
 
+@pytest.mark.hazard(69)
 def test_at_power_on_the_output_follows_the_exposure(bench: Any) -> None:
     assert bench.camera.settings.line_source == LineSource.EXPOSURE_ACTIVE
     assert bench.camera.lights_exposure  # a projector is lit by every picture until the driver prepares it
