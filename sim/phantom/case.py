@@ -179,7 +179,7 @@ def _describe_end(process_id: int) -> str:
     return describe_exit(ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status)
 
 
-def plan_toml(scan: Scan, series_instance_uid: str) -> str:
+def plan_toml(scan: Scan, series_instance_uid: str, patient_position: str = PATIENT_POSITION) -> str:
     """Return a TOML plan for a scan, with the trajectories of its scene."""
     import tomli_w
 
@@ -187,7 +187,7 @@ def plan_toml(scan: Scan, series_instance_uid: str) -> str:
     content = {
         "schema": PLAN_SCHEMA,
         "series_instance_uid": series_instance_uid,
-        "patient_orientation": PATIENT_POSITION,
+        "patient_orientation": patient_position,
         **_plan_markers(scan),
         **({"template_mm": [list(one) for one in template]} if (template := scene.head.template_mm) else {}),
         "tool": TOOL,

@@ -20,6 +20,7 @@ from ronna_hw.text import escape_controls, format_count
 from sim.world.options import Carrier, InstrumentKind, MarkersOption, SceneOption, TargetsOption
 
 if TYPE_CHECKING:
+    from sim.phantom.case import PhantomCase
     from sim.phantom.scan import Scan
     from sim.world.scene.model import Scene
 
@@ -173,6 +174,7 @@ def phantom(
     from sim.phantom.families.face_scan import SURFACE_FAMILY, face_scan
     from sim.phantom.families.family_scan import family_scan, protocol_named
     from sim.phantom.mr_scan import draw_mr
+    from sim.phantom.own_case import write_own_case
     from sim.phantom.scan import plain_scan
     from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
     from sim.world.process import load_scene
@@ -252,6 +254,9 @@ def phantom(
             faults = scan.faults
     else:
         truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=carrier, arm=arm)
+        if truth.head.own_ct is not None:
+            _show(write_own_case(truth, out), truth, "spheres", as_json)
+            return
         if protocol is not None:
             truth = truth.model_copy(update={"ct": protocol_named(protocol)})
         scan = plain_scan(truth)
@@ -265,9 +270,13 @@ def phantom(
         case = write_case(truth, out, report, scan=replace(scan, faults=faults))
         if with_mr:
             write_mr(draw_mr(truth, seed, distortion_mm=mr_distortion_mm), out)
-    shown, kind = len(truth.head.fiducials), "spheres"
-    if fiducials is Fiducials.ADHESIVE:
-        shown, kind = len(truth.head.adhesives), "adhesive rings"
+    _show(case, truth, "adhesive rings" if fiducials is Fiducials.ADHESIVE else "spheres", as_json)
+
+
+def _show(case: PhantomCase, truth: Scene, kind: str, as_json: bool) -> None:
+    """Print what was written."""
+    shown = len(truth.head.adhesives if kind == "adhesive rings" else truth.head.fiducials)
+    targets = len(truth.head.targets)
     if as_json:
         print_json(
             {
@@ -277,14 +286,14 @@ def phantom(
                 "series_instance_uid": case.series_instance_uid,
                 "slices": case.slices,
                 "markers": shown,
-                "targets": len(truth.head.targets),
+                "targets": targets,
             }
         )
         return
     typer.echo(
         escape_controls(
             f"{case.series}: {case.slices} slices, {shown} {kind}, "
-            f"{format_count(len(truth.head.targets), 'trajectory', 'trajectories')} in {case.plan}"
+            f"{format_count(targets, 'trajectory', 'trajectories')} in {case.plan}"
         )
     )
 

@@ -452,6 +452,12 @@ def scene(
     tracker: Annotated[
         PolarisModel | None, typer.Option(help="Model of the tracker, instead of the scene's.")
     ] = None,
+    head_ct: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="CT series of straight slices that is the head, without spheres."
+        ),
+    ] = None,
 ) -> None:
     """Print the full ground truth of a scene as TOML, as a starting point for your own scene."""
     import tomli_w
@@ -461,7 +467,19 @@ def scene(
     from sim.world.process import load_scene
     from sim.world.scene.named_scenes import SCENES, add_patient_frame, draw_scene
 
-    if template is None:
+    if head_ct is not None:
+        if (
+            scene not in SCENES
+            or markers is not None
+            or template is not None
+            or fiducials is not Carrier.FREE
+        ):
+            raise BAD_SCENE("a CT of your own belongs to a named scene and has no spheres of the scene")
+        from sim.world.scene.own_head import with_own_head
+
+        truth = load_scene(scene, seed=seed, targets=targets, fiducials=Carrier.SURFACE, arm=arm)
+        truth = with_own_head(truth, head_ct)
+    elif template is None:
         truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials, arm=arm)
     else:
         if scene not in SCENES or markers is not None or fiducials is not Carrier.FREE:

@@ -80,7 +80,13 @@ def face_scan(scene: Scene, name: str, fiducials: str) -> Scan:
         surroundings=(*anatomy.surroundings, *around, *tube, *pins.shapes),
         streaks=anatomy.streaks + pins.streaks,
     )
-    truth = {"family": name, "purpose": "surface"}
+    truth = {
+        "family": name,
+        "purpose": "surface",
+        "centre_mm": list(head.centre_ct_mm),
+        "semi_axes_mm": list(head.semi_axes_mm),
+        "face": None if head.face is None else head.face.model_dump(mode="json"),
+    }
     return Scan(scene, place_grid(head, scene.ct), anatomy, fiducials, truth)
 
 

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from sim.errors import BAD_SCENE
 from sim.phantom.head.anatomy import AIR_HU, LAYERS, HeadLayers, blur_table
 from sim.phantom.head.shapes import Values
 from sim.world.head_surface.parametric_head import ParametricHead
@@ -46,6 +47,8 @@ def layers_of(
     head: Head, blur_mm: float, layers: tuple[tuple[float, float], ...] = LAYERS, air: float = AIR_HU
 ) -> Layers:
     """Return the layers of a head, with edges blurred by a Gaussian of `blur_mm`."""
+    if head.own_ct is not None:
+        raise BAD_SCENE("the head is a CT of your own: it cannot be scanned again")
     faced = head_with_face(head)
     if faced is None:
         return HeadLayers(head.centre_ct_mm, head.semi_axes_mm, blur_mm, layers, air)

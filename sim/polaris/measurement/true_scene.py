@@ -83,7 +83,7 @@ class TrueScene:
         on_clamp = scene.head.robot_from_patient_frame
         self._robot_from_patient_frame = None if on_clamp is None else matrix_of(on_clamp)
         self._guide = TrueGuide(world)
-        has_head = scene.tracker.fiducials_visible and bool(fiducials or scene.head.face)
+        has_head = scene.tracker.fiducials_visible and bool(fiducials or scene.head.face or scene.head.own_ct)
         self._head: tuple[OpaqueBody, ...] = (
             (head_ellipsoid(scene.head, self._tracker_from_robot),) if has_head else ()
         )

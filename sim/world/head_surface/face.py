@@ -14,36 +14,38 @@ from pydantic import Field
 
 from ronna_hw.calibration import Strict
 
-Measure = Annotated[float, Field(gt=0, le=400)]
+# Wider than people are, and not so far that parts of the head vanish in others
+Large = Annotated[float, Field(ge=60, le=250)]
+Small = Annotated[float, Field(ge=4, le=120)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Face(Strict):
     """Measures of a face on the cranium, which is the head's ellipsoid."""
 
-    sellion_below_vertex_mm: Measure = Field(
+    sellion_below_vertex_mm: Large = Field(
         default=108.0, description="Height of the vertex above the root of the nose."
     )
-    tragion_below_vertex_mm: Measure = Field(
+    tragion_below_vertex_mm: Large = Field(
         default=131.0, description="Height of the vertex above the ear's opening."
     )
-    face_length_mm: Measure = Field(default=121.0, description="Root of the nose to the chin's lowest point.")
-    face_width_mm: Measure = Field(default=141.0, description="Width over the cheekbones.")
-    jaw_width_mm: Measure = Field(default=116.0, description="Width over the angles of the jaw.")
-    nose_length_mm: Measure = Field(default=51.0, description="Root of the nose to its base.")
-    nose_breadth_mm: Measure = Field(default=36.0, description="Width over the wings of the nose.")
-    nose_protrusion_mm: Measure = Field(default=21.0, description="Tip of the nose before its base.")
-    eye_distance_mm: Measure = Field(default=64.0, description="Distance of the pupils.")
-    brow_mm: Measure = Field(default=7.0, description="Radius of the ridge of the brows.")
-    ear_length_mm: Measure = Field(default=62.0, description="Length of the ears.")
-    ear_breadth_mm: Measure = Field(default=37.0, description="Breadth of the ears.")
-    ear_protrusion_mm: Measure = Field(default=21.0, description="Edge of the ears from the head.")
-    neck_mm: Measure = Field(default=57.0, description="Radius of the neck.")
+    face_length_mm: Large = Field(default=121.0, description="Root of the nose to the chin's lowest point.")
+    face_width_mm: Large = Field(default=141.0, description="Width over the cheekbones.")
+    jaw_width_mm: Large = Field(default=116.0, description="Width over the angles of the jaw.")
+    nose_length_mm: Small = Field(default=51.0, description="Root of the nose to its base.")
+    nose_breadth_mm: Small = Field(default=36.0, description="Width over the wings of the nose.")
+    nose_protrusion_mm: Small = Field(default=21.0, description="Tip of the nose before its base.")
+    eye_distance_mm: Small = Field(default=64.0, description="Distance of the pupils.")
+    brow_mm: Small = Field(default=7.0, description="Radius of the ridge of the brows.")
+    ear_length_mm: Small = Field(default=62.0, description="Length of the ears.")
+    ear_breadth_mm: Small = Field(default=37.0, description="Breadth of the ears.")
+    ear_protrusion_mm: Small = Field(default=21.0, description="Edge of the ears from the head.")
+    neck_mm: Small = Field(default=57.0, description="Radius of the neck.")
     ear_folds: tuple[Share, Share] = Field(
         default=(0.0, 0.0),
         description="How far the ears are folded against the head, left and right: 0 to 1.",
     )
-    hair_line_mm: Measure = Field(
+    hair_line_mm: Small = Field(
         default=70.0, description="Height of the hair line at the forehead above the root of the nose."
     )
     hair_mm: Annotated[float, Field(ge=0, le=50)] = Field(

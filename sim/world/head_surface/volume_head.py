@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,16 @@ from sim.world.head_surface.distance_grid import DistanceGrid
 from sim.world.head_surface.surface import march
 from sim.world.rigid import Array, Vectors, as_point
 
+if TYPE_CHECKING:
+    from pydicom import Dataset
+
 AIR_HU, SKIN_LEVEL_HU = -1000.0, -480.0  # halfway to skin of 40 HU
 NEAR_MM = 2.0  # of the skin: grey values tell the distance there, a distance map elsewhere
 LEAST_SLOPE_HU_MM = 50.0
 MASK_MM = 2.0  # spacing of the voxels by which bodies are told apart
 ROOM_MM = 12.0
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])  # rows and columns of straight slices
+TURNED = 1e-4  # of a direction's component
 UNEVEN_MM = 0.02  # between the spacings of slices
 
 
@@ -57,6 +62,13 @@ class VolumeHead:
     def __init__(self, image: CtImage) -> None:
         self._image, self._body = _largest_body(image)
 
+    @property
+    def extent_mm(self) -> tuple[Array, Array]:
+        """Lowest and highest coordinates of the body, to the voxel of its mask."""
+        mask, spacing = self._body
+        places = np.argwhere(mask)
+        return self._image.first_mm + places.min(0) * spacing, self._image.first_mm + places.max(0) * spacing
+
     def distance_mm(self, points_mm: Vectors) -> Array:
         """Return the distance (n,) of points (n, 3), positive outside; exact near the surface."""
         points = np.asarray(points_mm, dtype=float).reshape(-1, 3)
@@ -72,7 +84,9 @@ class VolumeHead:
 
     def cast(self, origins_mm: Vectors, directions: Vectors, furthest_mm: float) -> Array:
         """Return the distance (n,) along unit directions to the first hit; NaN without one."""
-        start, end = self.grid.approach(origins_mm, directions, furthest_mm)
+        # The coarse distances are those of whole voxels of the mask.
+        voxel_mm = float(self._body[1].max())
+        start, end = self.grid.approach(origins_mm, directions, furthest_mm, voxel_mm)
         return march(self.distance_mm, origins_mm, directions, end, start)
 
     @cached_property
@@ -108,22 +122,29 @@ def read_head(folder: Path) -> VolumeHead:
     return VolumeHead(read_image(folder))
 
 
-def read_image(folder: Path) -> CtImage:
-    """Read a CT series of straight, evenly spaced slices; raises SIM-001 if there is none."""
+def list_slices(folder: Path) -> list[tuple[Path, Dataset]]:
+    """Read the slices of a CT series with their files, from the feet upwards; raises SIM-001."""
     import pydicom
     from pydicom.errors import InvalidDicomError
 
-    slices = []
+    found = []
     for path in sorted(one for one in folder.iterdir() if one.is_file()) if folder.is_dir() else ():
         try:
-            slices.append(pydicom.dcmread(path))
+            found.append((path, pydicom.dcmread(path)))
         except InvalidDicomError:
             continue
-    if len(slices) < 2:
+    if len(found) < 2:
         raise BAD_SCENE(f"{folder.name} holds no CT series", expected="at least two DICOM slices")
-    slices.sort(key=lambda one: float(one.ImagePositionPatient[2]))
+    if len({str(one.SeriesInstanceUID) for _, one in found}) > 1:
+        raise BAD_SCENE(f"{folder.name} holds several series", expected="the slices of one")
+    return sorted(found, key=lambda one: float(one[1].ImagePositionPatient[2]))
+
+
+def read_image(folder: Path) -> CtImage:
+    """Read a CT series of straight, evenly spaced slices; raises SIM-001 if there is none."""
+    slices = [one for _, one in list_slices(folder)]
     if any(
-        np.abs(np.array(one.ImageOrientationPatient, dtype=float) - UPRIGHT).max() > 1e-4 for one in slices
+        np.abs(np.array(one.ImageOrientationPatient, dtype=float) - UPRIGHT).max() > TURNED for one in slices
     ):
         raise BAD_SCENE(f"the slices of {folder.name} are tilted or turned", expected="straight axial slices")
     heights = np.array([float(one.ImagePositionPatient[2]) for one in slices])

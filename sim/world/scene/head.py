@@ -19,6 +19,7 @@ from ronna_hw.x_frame import BAR_BELOW_MM, BAR_RADIUS_MM, SPHERE_CENTRES_MM, STA
 from sim.errors import BAD_SCENE
 from sim.world.head_surface.face import Measures
 from sim.world.head_surface.parametric_head import ParametricHead
+from sim.world.head_surface.surface import march
 from sim.world.rigid import (
     Point,
     Vector,
@@ -336,7 +337,8 @@ def skin_of(measures: Measures) -> Skin:
 
     def find(direction: Vector) -> tuple[Vector, Vector]:
         start = OUTSIDE_MM * direction / np.linalg.norm(direction)
-        along = surface.cast(start[None], -start[None] / OUTSIDE_MM, OUTSIDE_MM)
+        # So few rays are not worth the distances that `cast` prepares.
+        along = march(surface.distance_mm, start[None], -start[None] / OUTSIDE_MM, OUTSIDE_MM)
         point = start * (1.0 - along[0] / OUTSIDE_MM)
         return point, surface.normals(point[None])[0]
 

@@ -103,6 +103,9 @@ class Head(Strict):
     face: Face | None = Field(
         default=None, description="Measures of the face on that ellipsoid; without it, the ellipsoid alone."
     )
+    own_ct: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None, description="Folder of a CT series that is the head, without spheres or face."
+    )
     skin_shift: SkinShift = Field(
         default=SkinShift(), description="How the skin moved since the CT; with a face only."
     )
@@ -155,6 +158,12 @@ class Head(Strict):
         return self
 
     @model_validator(mode="after")
+    def _own_ct_is_as_it_is(self) -> Self:
+        if self.own_ct is not None and (self.fiducials or self.adhesives or self.face is not None):
+            raise ValueError("own_ct is a head as scanned: it has no spheres, rings or face of the scene")
+        return self
+
+    @model_validator(mode="after")
     def _shifted_skin_has_a_face(self) -> Self:
         if self.face is None and not self.skin_shift.is_none:
             raise ValueError("skin_shift needs a face: the ellipsoid's skin does not move")
@@ -182,9 +191,10 @@ class Head(Strict):
         there = [one for one in self.fiducials if not one.missing]
         bases = [one.base_in_theatre or one.number for one in there]
         unknown = sorted(set(bases) - {one.number for one in self.fiducials})
-        if not self.fiducials and self.face is None:
+        has_skin = self.face is not None or self.own_ct is not None
+        if not self.fiducials and not has_skin:
             raise ValueError("head.fiducials needs a sphere: the head has no face to register instead")
-        if not there and self.face is None:
+        if not there and not has_skin:
             raise ValueError(
                 "at least one sphere must be present in the theatre, or the head must have a face"
             )

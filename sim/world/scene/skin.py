@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from sim.world.head_surface.parametric_head import ParametricHead
 from sim.world.head_surface.skin_shift import ShiftedHead, SkinShift
 from sim.world.head_surface.skull_surface import SkullSurface
 from sim.world.head_surface.surface import HeadSurface
+from sim.world.head_surface.volume_head import VolumeHead, read_head
 from sim.world.rigid import Point, Vector
 from sim.world.scene.model import Head
 
@@ -29,6 +31,8 @@ def head_with_face(head: Head) -> ParametricHead | None:
 
 def skin_in_ct(head: Head) -> HeadSurface:
     """Return the skin as the CT shows it."""
+    if head.own_ct is not None:
+        return _read(head.own_ct)
     return head_with_face(head) or EllipsoidalHead(head.centre_ct_mm, head.semi_axes_mm)
 
 
@@ -86,6 +90,11 @@ def head_extent(head: Head) -> tuple[Vector, Vector]:
 @lru_cache(maxsize=8)  # with the distances that casting rays prepares
 def _shift(head: ParametricHead, shift: SkinShift) -> ShiftedHead:
     return ShiftedHead(head, shift)
+
+
+@lru_cache(maxsize=2)
+def _read(series: str) -> VolumeHead:
+    return read_head(Path(series))
 
 
 @lru_cache(maxsize=8)

@@ -103,3 +103,18 @@ def test_options_that_a_scan_would_not_follow_are_refused(
     assert "CLI-001" in done.stderr
     assert said in " ".join(done.stderr.split())
     assert not (tmp_path / "case").exists()
+
+
+@pytest.mark.slow
+def test_the_spheres_of_a_head_with_a_face_are_found_and_nothing_of_the_face(tmp_path: Path) -> None:
+    folder = tmp_path / "case"
+    words = ("phantom", "--scene", "mini", "--seed", 4, "--fiducials", "mixed", "--family", "intubated")
+    done = in_this_process(ronna_sim, *words, "--out", folder, "--json")
+    assert json.loads(done.stdout)["markers"] == 2
+    truth = json.loads((folder / "truth.json").read_text())
+    found = in_this_process(ronna_ct, "localize", folder / "ct", "--json")
+    centres = np.array([one["centre_mm"] for one in json.loads(found.stdout)["markers"]])
+    spheres = np.array([one["centre_mm"] for one in truth["fiducials"]])
+    away = np.linalg.norm(centres[:, None] - spheres, axis=2)
+    assert len(centres) == 2
+    assert away.min(axis=0).max() < 0.05

@@ -13,7 +13,7 @@ from sim.world.scene.model import Head
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.skin import head_extent, skin_in_ct
 
-ROOM_MM, SPACING_MM, HALF_HEIGHT_MM = 15.0, 1.25, 40.0
+ROOM_MM, SPACING_MM, HALF_HEIGHT_MM = 15.0, 1.0, 35.0
 EDGE_MM = 0.7  # of the scanner's blur
 
 
