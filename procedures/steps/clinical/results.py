@@ -203,6 +203,11 @@ class RegisteredRobot(StepResult, kind="registration"):
         return self.left_out
 
     @property
+    def can_follow(self) -> bool:
+        """Whether it can follow a small move of the head that the tracker measures by the spheres."""
+        return True
+
+    @property
     def trajectories(self) -> frozenset[str]:
         return frozenset(one.target for one in self.predictions)
 

@@ -69,6 +69,11 @@ class RegisteredBySurface(RegisteredRobot, kind="surface_registration"):
     changed: tuple[SkinRegion, ...] = Field(default=(), description="Regions left out: they have moved.")
     doubted: tuple[SkinRegion, ...] = Field(default=(), description="Regions that may have moved.")
 
+    @property
+    def can_follow(self) -> bool:
+        """A head without spheres is scanned again: the tracker sees its clamp, not the head in it."""
+        return False
+
 
 def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     """Register the scan to the skin in the CT; have the predicted error accepted. Raises SRF-001 to SRF-010."""

@@ -87,8 +87,16 @@ class ScannedSurface(Relocalization, kind="surface_scan"):
     def without_spheres(cls, **fields: object) -> Self:
         """Build the result; what a relocalization says of each sphere is empty."""
         empty = dict.fromkeys(
-            ("fiducials", "points_robot_mm", "covariances_mm2", "residuals_mm", "ray_gaps_mm", "radii_mm")
-            + ("looks", "joints_rad"),
+            (
+                "fiducials",
+                "points_robot_mm",
+                "covariances_mm2",
+                "residuals_mm",
+                "ray_gaps_mm",
+                "radii_mm",
+                "looks",
+                "joints_rad",
+            ),
             (),
         )
         return cls.model_validate({**empty, **fields})
@@ -131,8 +139,8 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
             np.median(line.points_mm, axis=0) - one.tool_pose.transform.translation_mm for line in seen
         ]
     theatre_s = workcell.clock.now_s() - began_s
-    for number, reason in dark.items():
-        context.find(f"look {number} at the skin shows no line: {reason}")
+    for name, reason in dark.items():
+        context.find(f"look {name} at the skin shows no line: {reason}")
     if not lines:
         raise NOTHING_LIT(
             "no look shows the line", expected="a line", got=next(iter(dark.values()), "nothing")
