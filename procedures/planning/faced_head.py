@@ -22,7 +22,10 @@ FACE = "face"
 
 
 def fit_cranium_and_face(skin: Surface) -> tuple[HeadEllipsoid, HeadEllipsoid]:
-    """Return an ellipsoid around the cranium, as if its lower half mirrored the upper, and one around the rest."""
+    """Return an ellipsoid around the cranium, and one around what is below it.
+
+    The lower half of the cranium, hidden by the face, counts as the mirror image of the upper.
+    """
     axes, points = HeadAxes.of(skin), skin.points_mm
     is_cranium = axes.depth_mm(points) < CRANIUM_MM
     upper, middle_mm = points[is_cranium], axes.vertex_mm - CRANIUM_MM * axes.scale

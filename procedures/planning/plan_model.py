@@ -211,8 +211,8 @@ class Plan(Strict):
         ge=0, le=MOST_MARKERS, description="Markers on the head, 3 to 8; none with the surface as fiducial."
     )
     fiducials: FiducialKind = Field(
-        description="Single spheres, the x-shaped frame, the head's surface, or adhesive rings, with which no "
-        "case begins."
+        description="Single spheres, the x-shaped frame, the head's surface, or adhesive rings, with which "
+        "no case begins."
     )
     template_mm: tuple[Point, ...] | None = Field(
         default=None,

@@ -28,9 +28,9 @@ MOST_SWEPT = 4  # poses at one place that are checked for clearance
 def choose_views(
     setting: ArmSetting, branch: Branch, skin_ct_mm: Array, normals_ct: Array, count: int
 ) -> tuple[Transform, ...]:
-    """Choose up to `count` poses ROBOT <- TOOL with the tool centre on the skin (n, 3), CT mm, spread over it.
+    """Choose up to `count` poses ROBOT <- TOOL with the tool centre on the skin (n, 3), CT mm.
 
-    Each is reachable in this branch, and clear of the head along its approach. They are in the order of the
+    They are spread over the skin. Each is reachable in this branch, and clear of the head along its approach. They are in the order of the
     shortest way from one to the next.
     """
     turn = setting.robot_from_ct.rotation_matrix

@@ -75,6 +75,17 @@ def registers_on_skin(plan: Plan | None) -> bool:
     return plan is not None and plan.fiducials is FiducialKind.SURFACE
 
 
+def _require_one_change(case: CaseProcedure, plan: Plan) -> None:
+    """Raise CLI-001 for a case on the skin with an assistant, or with a scan during the operation."""
+    from ronna_hw.command_line.errors import UsageMistake
+
+    if registers_on_skin(plan) and (len(case.roles) > 1 or case.intraoperative):
+        raise UsageMistake(
+            'the plan has fiducials = "surface", which neither --dual nor --intraoperative is made for',
+            action="Omit the option, or register by markers.",
+        )
+
+
 def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
     from procedures.engine.order import order_of
     from procedures.steps.catalogue import clinical_steps
@@ -132,6 +143,7 @@ def prepare_case(
         locked = held.enter_context(lock_plan(file))
         plan = parse_plan_bytes(locked.content, file.name)
         require_spheres(plan)
+        _require_one_change(case, plan)
     except RonnaError as problem:
         if resumption is None or resumption.interrupted.untouched:
             raise

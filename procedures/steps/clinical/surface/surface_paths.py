@@ -46,7 +46,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     branch = setting.kinematics.branch_of(setting.start_rad)
     found = choose_views(setting, branch, places_mm[scanned], skin.normals[scanned], CANDIDATES)
     targets_mm = [one.target_mm for one in context.result(CheckedPlan).plan.trajectories]
-    views = _choose_by_error(setting, found, skin, np.array(targets_mm))
+    views = choose_by_error(setting, found, skin, np.array(targets_mm))
     if len(views) < FEWEST_VIEWS:
         raise NO_STATIONS(
             "the arm can look at few places on the skin", limit=f"{FEWEST_VIEWS} looks", got=str(len(views))
@@ -57,7 +57,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     return check_all_paths(context, setting, sight, np.empty((0, 3)), range(len(views)))
 
 
-def _choose_by_error(
+def choose_by_error(
     setting: ArmSetting, views: Sequence[Transform], skin: Surface, targets_mm: Array
 ) -> tuple[Transform, ...]:
     """Return the views that lower the expected error at the targets (n, 3), CT mm, most; keep their order.

@@ -1,7 +1,7 @@
 """Registration on the scanned skin, with a predicted error for every target.
 
-The prediction is the mixture over all misfits of the skin that the scan allows, with the arm's errors at looks
-and target; see `procedures.registration.surface`.
+The prediction is the mixture over all misfits of the skin that the scan allows, with the arm's errors at
+looks and target; see `procedures.registration.surface`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from ronna_hw.arrays import Array
 
 SKIN = "skin and its misfit, scan and arm"  # source of error: they are adjusted together
 LEFT_AND_RIGHT = (
-    "The skin of this head is as like its mirror image as the scan can tell. Compare a sign on one side of the "
+    "The scan cannot tell the skin of this head from its mirror image. Compare a sign on one side of the "
     "head, such as a scar or the site of the lesion, with the CT."
 )
 
@@ -76,7 +76,10 @@ class RegisteredBySurface(RegisteredRobot, kind="surface_registration"):
 
 
 def run(context: StepContext) -> Outcome[RegisteredBySurface]:
-    """Register the scan to the skin in the CT; have the predicted error accepted. Raises SRF-001 to SRF-010."""
+    """Register the scan to the skin in the CT, and have the predicted error accepted.
+
+    Raises SRF-001 to SRF-010, PRO-002, PRO-007.
+    """
     if context.workcell.master.tool is MountedTool.GUIDE:
         raise GateFailed(
             "the head has moved since the skin was scanned, and the guide is mounted",
@@ -113,7 +116,8 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
             changed=changed,
             doubted=tuple(map(SkinRegion.of, found.doubted)),
         ),
-        summary=f"predicted target error {worst.rms_mm:.2f} mm rms; misfit of the skin {found.misfit_mm:.2f} mm"
+        summary=f"predicted target error {worst.rms_mm:.2f} mm rms; the skin differs by "
+        f"{found.misfit_mm:.2f} mm"
         + "".join(f"; the skin moved {one.shift_mm:.1f} mm at {', '.join(one.parts)}" for one in changed)
         + "".join(f"; without {name}" for name in left_out),
     )

@@ -6,6 +6,7 @@ errs there its points share, and the registration accounts for it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Self
 
 import numpy as np
@@ -35,8 +36,8 @@ from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surface.surface_start import SurfaceStart
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
-from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell import MountedTool
+from procedures.workcell.centring import Centring
 from procedures.workcell.line_look import LineLook
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.arrays import Array
@@ -125,13 +126,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     for number, one in enumerate(planned):
         context.progress(number / len(planned), f"scanning the skin, look {number + 1} of {len(planned)}")
         scanner = _Scanner(context, number, one, arriving(context, paths, one))
-        try:
-            seen = scanner.scan()
-        except RonnaError as problem:
-            if not is_error(problem, *LEFT_OUT):
-                raise
-            dark[str(number + 1)] = problem.summary
-            continue
+        seen = scanner.scan()
         if not seen:
             dark[str(number + 1)] = scanner.reason
         lines += seen
@@ -141,13 +136,8 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     theatre_s = workcell.clock.now_s() - began_s
     for name, reason in dark.items():
         context.find(f"look {name} at the skin shows no line: {reason}")
-    if not lines:
-        raise NOTHING_LIT(
-            "no look shows the line", expected="a line", got=next(iter(dark.values()), "nothing")
-        )
-    workcell.master.line_to(
-        back_along_axis(workcell.master.tool_pose(), context.setting.settings.approach_mm)
-    )
+    require_lines(lines, dark)
+    scanner.back_off()
     check_room(context, "after the skin was scanned")
     points_mm = np.concatenate([line.points_mm for line in lines])
     in_ct = np.asarray(context.result(SurfaceStart).robot_from_ct.transform.inverse().apply(points_mm))
@@ -165,6 +155,15 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
         summary=f"{len(lines)} lines, {len(points_mm)} points, {covered:.0%} of the skin above the jaw"
         + (f"; {len(dark)} looks show no line" if dark else ""),
     )
+
+
+def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str]) -> None:
+    """Raise SRF-032 without any line; `dark` has the reasons by look."""
+    if not lines:
+        reason = next(iter(dark.values()), "") or "nothing"
+        raise NOTHING_LIT(
+            f"no look shows the line: {reason}", expected="a line", got=f"{len(dark)} dark looks"
+        )
 
 
 def _begin(context: StepContext) -> None:
@@ -190,18 +189,23 @@ class _Scanner:
         self, context: StepContext, number: int, look: LocalizationPose, sides: tuple[int, ...] | None
     ) -> None:
         self._context, self._number, self._look, self._sides = context, number, look, sides
+        approach_mm = context.setting.settings.approach_mm
+        self._centring = Centring(context.workcell, sides, LINE_AREA_PX, approach_mm)
         self.reason = ""
 
     def scan(self) -> list[ScannedLine]:
         """Return the lines that show, with `reason` for those that do not."""
         workcell, pose = self._context.workcell, self._look.tool_pose.transform
-        lines = []
+        lines: list[ScannedLine] = []
         for across_mm in ACROSS_MM:
             here = pose.displace(pose.rotation_matrix[:, 1] * across_mm)
-            near = self._look.joints_rad
-            workcell.master.settle(
-                workcell.master.joints_at(here, near, self._sides), self._sides, allow_detour=True
-            )
+            try:
+                self._centring.go_over(here, self._look.approach_rad)
+            except RonnaError as problem:
+                if not is_error(problem, *LEFT_OUT):
+                    raise
+                self.reason = problem.summary
+                continue
             if across_mm == ACROSS_MM[0]:
                 name = f"at look {self._number + 1}"
                 check_room(self._context, name, sides={Tracked.ARM: self._sides})
@@ -211,6 +215,11 @@ class _Scanner:
             else:
                 lines.append(self._record(seen))
         return lines
+
+    def back_off(self) -> None:
+        """Back off along the tool axis, if the arm is over the skin."""
+        if self._centring.is_over_sphere:
+            self._centring.back_off()
 
     def _record(self, seen: LineLook) -> ScannedLine:
         workcell, found = self._context.workcell, seen.points
