@@ -11,10 +11,12 @@ from procedures.planning.paths import solve_visit
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, Reached, Visit
 from procedures.strategies.skin_looks import SKIN
+from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.strategies.trajectory import tool_pose
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.kinematics import Branch
+from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arrays import Array
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform, perpendicular_axes
@@ -30,8 +32,8 @@ def choose_views(
 ) -> tuple[Transform, ...]:
     """Choose up to `count` poses ROBOT <- TOOL with the tool centre on the skin (n, 3), CT mm.
 
-    They are spread over the skin. Each is reachable in this branch, and clear of the head along its approach. They are in the order of the
-    shortest way from one to the next.
+    They are spread over the skin, each reachable in this branch and clear of the head along its approach, in
+    the order of the shortest way from one to the next.
     """
     turn = setting.robot_from_ct.rotation_matrix
     places, outwards = np.asarray(setting.robot_from_ct.apply(skin_ct_mm)), normals_ct @ turn.T
@@ -91,8 +93,12 @@ def _find_view(
 
 
 def _is_clear(setting: ArmSetting, reached: Reached, around: Surroundings) -> bool:
-    swept = sweep_path(setting.kinematics, reached.line, around, search_closest=False)
-    return swept.refused is None
+    """Return whether a view can be approached from home, and left for home, without touching anything."""
+    arm, home_rad = setting.kinematics, approach_joints(setting.start_rad, ONE_SIDE)
+    home = plan_joint_move(arm, reached.approach_rad, home_rad, setting.limits)
+    return all(
+        sweep_path(arm, plan, around, search_closest=False).refused is None for plan in (reached.line, home)
+    )
 
 
 def _list_poses(place_mm: Array, outwards: Array, tilt_rad: float) -> Iterator[Transform]:

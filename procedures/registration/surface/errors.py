@@ -1,4 +1,4 @@
-"""Errors in the registration of surfaces, SRF-001 to SRF-033."""
+"""Errors in the registration of surfaces, SRF-001 to SRF-034."""
 
 from __future__ import annotations
 
@@ -133,4 +133,11 @@ NO_STATIONS = ErrorCode(
     RefusedError,
     "The arm cannot look at enough of the skin.",
     "Turn the head or move the cart so that the arm reaches face and temples, or register by markers.",
+)
+
+ARM_NOT_CALIBRATED = ErrorCode(
+    "SRF-034",
+    RefusedError,
+    "The arm has no calibration record: looks at the skin from many sides would show its errors as a wrong shape.",
+    "Calibrate the arm and name its record in the theatre file, or register by markers.",
 )

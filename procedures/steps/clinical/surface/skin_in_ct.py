@@ -12,7 +12,7 @@ from procedures.journal.results import Values
 from procedures.planning.faced_head import face_bodies, fit_cranium_and_face
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import FiducialKind
-from procedures.registration.surface.errors import NO_PATIENT_FRAME, NO_PROJECTOR
+from procedures.registration.surface.errors import ARM_NOT_CALIBRATED, NO_PATIENT_FRAME, NO_PROJECTOR
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -48,12 +48,17 @@ class SkinInCt(LocalizedFiducials, kind="skin_in_ct"):
 
 
 def run(context: StepContext) -> Outcome[SkinInCt]:
-    """Find the skin. Raises CT-028 without a head, and SRF-030, SRF-031 for a theatre that cannot scan it."""
+    """Find the skin.
+
+    Raises CT-028 without a head, and SRF-030, SRF-031, SRF-034 for a theatre that cannot scan it.
+    """
     workcell = context.workcell
     if line_projector(workcell.stereo) is None:
         raise NO_PROJECTOR("the stereo head of this theatre has no line projector")
     if workcell.patient_frame is None:
         raise NO_PATIENT_FRAME("this theatre has no frame on the head clamp")
+    if workcell.calibrations.arm is None:
+        raise ARM_NOT_CALIBRATED("the arm of this theatre has no calibration record")
     context.result(ImportedCt)
     skin = skin_of(context)
     cranium, face = fit_cranium_and_face(skin)

@@ -13,6 +13,7 @@ from procedures.engine.context import StepContext
 from procedures.imaging.head_landmarks import find_landmark
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.registration.surface.errors import (
+    ARM_NOT_CALIBRATED,
     NO_PATIENT_FRAME,
     NO_PROJECTOR,
     NO_STATIONS,
@@ -63,6 +64,10 @@ def test_a_theatre_that_cannot_scan_or_watch_the_head_is_refused_first() -> None
         skin_in_ct.run(context_of(stereo=object(), patient_frame="on clamp"))
     with raises(NO_PATIENT_FRAME):
         skin_in_ct.run(context_of(stereo=Head(), patient_frame=None))
+    with raises(ARM_NOT_CALIBRATED):
+        skin_in_ct.run(
+            context_of(stereo=Head(), patient_frame="on clamp", calibrations=SimpleNamespace(arm=None))
+        )
 
 
 def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
