@@ -33,7 +33,7 @@ FAN_DEG, LINE_TEXELS = 4.0, (1024, 2048)  # across and along
 LINE_SIGMA_MM = 0.1  # at the tool centre point
 LONG_RADIUS_MM, SHORT_RADIUS_MM = (70.0, 110.0), (12.0, 30.0)  # of balls, and of every third view's ridge
 LARGEST_TILT_DEG, LARGEST_HEIGHT_MM = 35.0, 4.0  # of the skin at the tool centre point
-MOTTLE, TEXELS = 0.10, 1024  # relative
+MOTTLE, TEXELS, TEXTURE_MM = 0.10, 1024, 60.0  # relative, over all sizes from 0.12 to 15 mm
 SCATTERING_PER_MM, ABSORPTION_PER_MM = 1.0, 0.03  # reduced, at 850 nm: 0.8 to 1.5 and 0.02 to 0.05
 SCATTERED_TIMES = 96
 LONGEST_RIDGE_MM = 150.0  # to either side
@@ -105,14 +105,16 @@ def true_line(
     return truth
 
 
-def mottled(random: np.random.Generator) -> dict[str, Any]:
-    """Draw the colour of skin: blotches of all sizes."""
+def mottled(random: np.random.Generator, radius_mm: float, length_mm: float) -> dict[str, Any]:
+    """Draw the colour of skin: blotches of all sizes, on a ball or cylinder as large along its axis."""
     cycles = np.hypot(np.fft.fftfreq(TEXELS)[:, None], np.fft.rfftfreq(TEXELS)[None]) * TEXELS
     spectrum = np.fft.rfft2(random.standard_normal((TEXELS, TEXELS))) / np.maximum(cycles, 4.0)
     noise = np.fft.irfft2(spectrum, s=(TEXELS, TEXELS))
     colour = np.clip(0.55 * (1.0 + MOTTLE * noise / noise.std()), 0.05, 0.95)
     bitmap = mi.Bitmap(np.repeat(colour[..., None], 3, axis=-1).astype(np.float32))
-    return {"type": "bitmap", "bitmap": bitmap, "raw": True}
+    times = 2.0 * np.pi * radius_mm / TEXTURE_MM, length_mm / TEXTURE_MM
+    repeated = mi.ScalarTransform4f().scale([*map(float, times), 1.0])
+    return {"type": "bitmap", "bitmap": bitmap, "raw": True, "to_uv": repeated}
 
 
 def line_texture() -> dict[str, Any]:
@@ -166,10 +168,15 @@ def render_view(number: int, options: argparse.Namespace) -> dict[str, Any]:
     if np.isinf(axes[1]):
         ends = [0.0, -LONGEST_RIDGE_MM, 0.0], [0.0, LONGEST_RIDGE_MM, 0.0]
         shape = {"type": "cylinder", "p0": ends[0], "p1": ends[1], "radius": float(axes[0])}
-    shape["to_world"] = as_transform(skin)
+        length_mm = 2.0 * LONGEST_RIDGE_MM
+    else:
+        length_mm = np.pi * float(axes[0])
+    # The poles of the texture lie aside, where they are not seen.
+    upright = mi.ScalarTransform4f() if np.isinf(axes[1]) else mi.ScalarTransform4f().rotate([1, 0, 0], 90.0)
+    shape["to_world"] = as_transform(skin) @ upright
     surface = {
-        "type": "principled", "base_color": mottled(random), "roughness": 0.45, "specular": 0.5,
-        "flatness": 1.0,
+        "type": "principled", "base_color": mottled(random, float(axes[0]), length_mm),
+        "roughness": 0.45, "specular": 0.5, "flatness": 1.0,
     }  # fmt: skip
     laser = {
         "type": "projector", "to_world": as_transform(projector), "fov": FAN_DEG, "fov_axis": "x",

@@ -88,7 +88,9 @@ def main() -> None:
     print(f"{'skin':30} {'views':>5} {'px rms':>7} {'square':>7} {'mm rms':>7} {'offset':>7} {'about it':>8}")
     for kind in KINDS:
         row, views = measure_kind(files, kind)
-        if options.pictures and views:
+        if not views:
+            continue
+        if options.pictures:
             crops.append(_crop(views[0]))
         rows[kind.name.replace(",", "").replace(" ", "_")] = row
         figures = (row[each] for each in ("centre_rms_px", "centre_normalized_square", "point_rms_mm"))
@@ -116,6 +118,8 @@ def measure_kind(files: list[Path], kind: Skin) -> tuple[dict[str, float], list[
             except DataError as fault:
                 print(f"{file.stem}, {kind.name}: {fault}")
                 refused += 1
+    if not views:
+        return {}, []
     centres = np.concatenate([each.centre_errors_px for each in views])
     squares = np.concatenate([each.centre_squares for each in views])
     points = np.concatenate([each.point_errors_mm for each in views])
@@ -229,7 +233,7 @@ def _crop(measured: Measured) -> GreyImage:
         rows, columns = picture.shape
         top, left = (rows - CROP_PX[0]) // 2, (columns - CROP_PX[1]) // 2
         crops.append(picture[top : top + CROP_PX[0], left : left + CROP_PX[1]])
-    return np.hstack(crops)
+    return np.asarray(np.hstack(crops), dtype=np.uint8)
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ def write_vtp(scan: SurfaceScan, file: Path, frame: Frame = Frame.ROBOT) -> None
     )
     name.text = f"{codes} 0"
     none = {f"NumberOf{each}": "0" for each in ("Lines", "Strips", "Polys")}
-    piece = ElementTree.SubElement(data, "Piece", NumberOfPoints=count, NumberOfVerts=count, **none)
+    piece = ElementTree.SubElement(data, "Piece", none | {"NumberOfPoints": count, "NumberOfVerts": count})
     values = ElementTree.SubElement(piece, "PointData")
     _add(values, "view_mm", scan.view_mm)
     _add(values, "covariance_mm2", _tensor(scan))

@@ -1,6 +1,8 @@
-"""Numerics for fine sphere localization with the stereo head: images, triangulation, servoing."""
+"""Numerics of the stereo head: spheres and laser lines in images, triangulation, servoing."""
 
 from procedures.relocalization.grey_image import AreaImage
+from procedures.relocalization.laser_line import LineImage, measure_line
+from procedures.relocalization.line_points import LinePoints, triangulate_line
 from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.relocalization.servo import (
     ServoSettings,
@@ -19,6 +21,8 @@ from procedures.relocalization.triangulation import StereoPoint, triangulate
 
 __all__ = [
     "AreaImage",
+    "LineImage",
+    "LinePoints",
     "ServoSettings",
     "ServoState",
     "SphereImage",
@@ -26,12 +30,14 @@ __all__ = [
     "SphereStatus",
     "StereoPoint",
     "locate_sphere",
+    "measure_line",
     "measure_sphere",
     "measure_spheres",
     "recorded_point",
     "search_offsets_mm",
     "search_pose",
     "triangulate",
+    "triangulate_line",
 ]
 
 

@@ -39,7 +39,8 @@ class LightPlane:
 
     def deviation_mm(self, covariance_mm2: Array) -> Array:
         """Return the standard deviations (n,) of these distances, from covariances (n, 3, 3)."""
-        return np.sqrt(np.einsum("i,nij,j->n", self.normal, covariance_mm2, self.normal))
+        variance = np.einsum("i,nij,j->n", self.normal, covariance_mm2, self.normal)
+        return np.asarray(np.sqrt(variance), dtype=float)
 
 
 class LineRecord(Strict):

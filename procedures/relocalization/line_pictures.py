@@ -61,4 +61,4 @@ def _read(file: Path) -> AreaImage:
     pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.is_file() else None
     if pixels is None:
         raise NO_LINE_PICTURES("a picture of the line cannot be read", got=str(file))
-    return AreaImage(pixels)  # type: ignore[arg-type]  # `measure_line` says what is no grey image
+    return AreaImage(pixels)  # `measure_line` refuses what is no grey image

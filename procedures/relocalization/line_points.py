@@ -176,7 +176,9 @@ def _match(level: _LevelHead, left: _LevelLine, right: _LevelLine) -> _Candidate
     """Return every pair of a left centre and a place between two right ones at the same height."""
     longest = LONGEST_GAP_PX * level.height_error / HEIGHT_ERROR_PX
     usable = np.abs(left.steepness) < LARGEST_STEEPNESS
-    rows: list[tuple[Array, ...]] = []
+    left_rows: list[NDArray[np.intp]] = []
+    partners: list[NDArray[np.int64]] = []
+    columns: list[Array] = []
     for branch in np.unique(right.branch):
         own = np.flatnonzero((right.branch == branch) & (np.abs(right.steepness) < LARGEST_STEEPNESS))
         own = own[np.argsort(right.v[own])]
@@ -190,13 +192,13 @@ def _match(level: _LevelHead, left: _LevelLine, right: _LevelLine) -> _Candidate
         before, behind, part = own[after[met] - 1], own[after[met]], share[met]
         u = (1.0 - part) * right.u[before] + part * right.u[behind]
         sigma = np.hypot((1.0 - part) * right.sigma[before], part * right.sigma[behind])
-        rows.append((met, np.full(len(met), branch), u, sigma, right.steepness[before]))
-    if not rows:
-        rows = [(np.zeros(0),) * 5]
-    met, partner, u, sigma, steepness = (np.concatenate(each) for each in zip(*rows, strict=True))
-    met = met.astype(np.int64)
-    in_front = left.u[met] > u
-    met, partner, u, sigma, steepness = (each[in_front] for each in (met, partner, u, sigma, steepness))
+        in_front = left.u[met] > u
+        left_rows.append(met[in_front])
+        partners.append(np.full(int(in_front.sum()), branch))
+        columns.append(np.stack([u, sigma, right.steepness[before]])[:, in_front])
+    met = np.concatenate([np.zeros(0, np.intp), *left_rows])
+    partner = np.concatenate([np.zeros(0, np.int64), *partners])
+    u, sigma, steepness = np.concatenate([np.zeros((3, 0)), *columns], axis=1)
     points, jacobian = level.triangulate((left.u[met], u), left.v[met])
     # An error of height moves the partner along the right line.
     variance = np.stack(
@@ -208,7 +210,7 @@ def _match(level: _LevelHead, left: _LevelLine, right: _LevelLine) -> _Candidate
         axis=1,
     )
     covariance = (jacobian * variance[:, None, :]) @ jacobian.transpose(0, 2, 1)
-    branches = np.stack([left.branch[met], partner.astype(np.int64)], axis=1)
+    branches = np.stack([left.branch[met], partner], axis=1)
     return _Candidates(met, branches, points, 0.5 * (covariance + covariance.transpose(0, 2, 1)))
 
 
