@@ -60,8 +60,8 @@ class SurfaceLimits:
     # Robust standard deviation of the distances: skin of the same head stays well below, another head above.
     # Safety against the CT of another patient. Source: parametric heads.
     largest_residual_mm: float = 0.9
-    # Share of the scan that is another body, or skin that changed.
-    # Safety against hands, drapes and hair taken for the head; skin that moved with the clamp.
+    # Shares of the scan that are another body, or skin that changed.
+    # Safety against hands, drapes and hair taken for the head, and skin that moved. Source: parametric heads.
     most_excluded: float = 0.25
     most_changed: float = 0.2
 

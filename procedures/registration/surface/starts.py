@@ -20,10 +20,10 @@ from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 
 LANDMARK_SD_MM = 3.0  # of a landmark found with a pointer on skin, each axis (U)
-SEARCH_POINTS = 100
-SEARCH_SAMPLES = 4000
-ORIENTATIONS = 500  # about 30 degrees apart
-FIRST_STEPS, NEXT_STEPS = 6, 20
+SEARCH_POINTS = 80
+SEARCH_SAMPLES = 3000
+ORIENTATIONS = 300  # about 35 degrees apart
+FIRST_STEPS, NEXT_STEPS = 4, 12
 KEPT_FIRST, KEPT_NEXT = 40, 6
 OVERLAP = 0.8  # share of the scan that is taken as the head's
 SEEN = 0.35  # cosine between a normal and the view, from which a surface is scanned

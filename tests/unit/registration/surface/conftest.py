@@ -44,7 +44,7 @@ class MadeHead:
         self.axes = (draw(70, 80), draw(90, 100), draw(72, 82))
         self.nose, self.ear, self.jaw = draw(0.8, 1.25), draw(0.8, 1.2), draw(0.9, 1.1)
         self.side_mm, self.ball = side_mm, ball
-        directions = np.random.default_rng(1).normal(size=(6000, 3))
+        directions = np.random.default_rng(1).normal(size=(3500, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         origins = np.array([0.0, 0.0, -30.0]) + 250.0 * directions
         points, hit = self.cast(origins, -directions)
@@ -161,7 +161,7 @@ def make_scan(
 
 @pytest.fixture(scope="session")
 def heads() -> list[MadeHead]:
-    return [MadeHead(seed) for seed in range(4)]
+    return [MadeHead(seed) for seed in range(2)]
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ from coded_errors import raises
 from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.errors import BAD_POINTS
-from procedures.registration.surface.checks import SurfaceLimits
+from procedures.registration.surface.checks import SurfaceLimits, require_skin
 from procedures.registration.surface.errors import (
     BAD_SCAN,
     BAD_SURFACE_INPUT,
@@ -126,13 +126,9 @@ def test_a_scan_that_is_mostly_hair_is_refused(heads, scan_of):
         register_surface(made.scan, heads[0], made.start)
 
 
-def test_drapes_over_a_third_of_the_scan_are_refused(heads, scan_of):
-    def drape(places):
-        return np.where(places[:, 2] > np.quantile(places[:, 2], 0.68), 20.0, 0.0)
-
-    made = scan_of(heads[0], 13, outwards=drape)
-    with raises(MUCH_EXCLUDED):
-        register_surface(made.scan, heads[0], made.start)
+def test_too_much_that_is_no_skin_is_refused():
+    with raises(MUCH_EXCLUDED, match="40%"):
+        require_skin(np.arange(10) < 4, SurfaceLimits())
 
 
 def test_numbers_that_mean_nothing_are_refused(heads, scan_of):

@@ -48,10 +48,11 @@ def test_the_predicted_error_is_of_the_size_of_the_error(heads, scan_of):
 
 
 @pytest.mark.slow
-def test_over_many_misfits_of_another_kind_the_normalised_square_is_near_one(heads, scan_of):
-    square, contained = judge(heads, scan_of, range(200))
-    assert 0.7 < square < 1.4
-    assert contained > 0.88
+@pytest.mark.timeout(1800)
+def test_over_many_misfits_of_another_kind_the_normalised_square_is_near_one(made_head, scan_of):
+    square, contained = judge([made_head(seed) for seed in range(10, 17)], scan_of, range(200))
+    assert 0.7 < square < 1.4, contained
+    assert contained > 0.9, square
 
 
 def test_neither_the_order_of_the_points_nor_a_second_run_changes_a_bit(heads, scan_of, random):
