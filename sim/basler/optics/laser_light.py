@@ -59,9 +59,11 @@ def project_runs(runs: Sequence[LineRun], lens: Lens, area: Area) -> tuple[Image
     pixels = lens.project(points)
     shifts = lens.project(points + np.concatenate([run.across_mm for run in runs])) - pixels
     blurs = lens.blur_sigmas_px(points[:, 2])
-    parts = (np.split(values, ends) for values in (pixels, shifts, blurs))
+    in_image = (np.split(values, ends) for values in (pixels, shifts, blurs))
     return tuple(
-        part for run, *image in zip(runs, *parts, strict=True) for part in _cross_pixels(run, *image, area)
+        part
+        for run, at_px, shift, blur_px in zip(runs, *in_image, strict=True)
+        for part in _cross_pixels(run, at_px, shift, blur_px, area)
     )
 
 
@@ -191,6 +193,7 @@ def _at_pixels(
     found = {name: np.interp(at, main, value[part]) for name, value in values.items()}
     end_px = np.minimum(at - main[0], main[-1] - at)  # an end is as blurred as the line
     found["core"] *= np.clip(end_px / (2.0 * widths.blur_px[part].mean()), 0.0, 1.0)
+    found["near"] *= np.clip(0.5 + 0.5 * end_px / near_px[part].mean(), 0.0, 1.0)  # half of it at an end
     return ImageRun(across_rows, at, **found)
 
 
