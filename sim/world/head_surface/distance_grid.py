@@ -15,7 +15,7 @@ SPACING_MM, MISSES_MM = (
     4.0,
     2.5,
 )  # of the coarse grid; most that its values miss, at thin parts and in creases
-FINE_SPACING_MM, FINE_MISSES_MM = 2.0, 0.6
+FINE_SPACING_MM, FINE_MISSES_MM = 2.0, 1.0
 BAND_MM = 6.0  # to either side of the surface, where the fine grid is exact at its nodes
 MOST_STEPS = 60
 LEAST_STEP_MM = 0.25

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from pydicom import Dataset
 
 AIR_HU, SKIN_LEVEL_HU = -1000.0, -480.0  # halfway to skin of 40 HU
-NEAR_MM = 2.0  # of the skin: grey values tell the distance there, a distance map elsewhere
+NEAR_MM = 2.0  # of the skin: grey values tell no greater distance
+COARSE_MM = (
+    7.0  # of the coarse distances: further out they alone count, and at ears they miss some millimetres
+)
 LEAST_SLOPE_HU_MM = 50.0
 MASK_MM = 2.0  # spacing of the voxels by which bodies are told apart
 ROOM_MM = 12.0
@@ -40,6 +43,11 @@ class CtImage:
     hu: NDArray[np.float32]
     first_mm: Array
     spacing_mm: Array
+
+    def covers(self, points_mm: Vectors) -> NDArray[np.bool_]:
+        """Return whether points (n,) are within the image."""
+        place = (points_mm - self.first_mm) / self.spacing_mm
+        return np.asarray(((place >= 0.0) & (place <= np.array(self.hu.shape) - 1)).all(axis=1))
 
     def at(self, points_mm: Vectors) -> Array:
         """Return trilinear values (n,); outside the image those of its border."""
@@ -75,7 +83,8 @@ class VolumeHead:
         slope = np.linalg.norm(self._gradient(points), axis=1)
         near = (SKIN_LEVEL_HU - self._image.at(points)) / np.maximum(slope, LEAST_SLOPE_HU_MM)
         far = self.grid.at(points)
-        return np.asarray(np.where(np.abs(far) < 2.0 * NEAR_MM, np.clip(near, -NEAR_MM, NEAR_MM), far))
+        is_near = (np.abs(far) < COARSE_MM) & self._image.covers(points)
+        return np.asarray(np.where(is_near, np.clip(near, -NEAR_MM, NEAR_MM), far))
 
     def normals(self, points_mm: Vectors) -> Vectors:
         """Return outward unit normals (n, 3) at points near the surface."""
@@ -106,7 +115,9 @@ class VolumeHead:
                 places.append(held.astype(np.intp))
                 beyond.append(np.abs(place - held) * step)
             away = np.sqrt(sum(one * one for one in beyond))
-            return np.asarray(signed[tuple(np.broadcast_arrays(*places))] + away)
+            held_mm = signed[tuple(np.broadcast_arrays(*places))]
+            # The body ends where the image does.
+            return np.asarray(np.where(away > 0.0, np.maximum(held_mm, 0.0) + away, held_mm))
 
         last = image.first_mm + (np.array(image.hu.shape) - 1) * image.spacing_mm
         return DistanceGrid.sample(sample, as_point(image.first_mm - ROOM_MM), as_point(last + ROOM_MM))

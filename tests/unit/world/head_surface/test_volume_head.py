@@ -13,7 +13,7 @@ from sim.world.scene.model import Head
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.skin import head_extent, skin_in_ct
 
-ROOM_MM, SPACING_MM, HALF_HEIGHT_MM = 15.0, 1.0, 35.0
+ROOM_MM, SPACING_MM, HALF_HEIGHT_MM = 15.0, 1.25, 35.0
 EDGE_MM = 0.7  # of the scanner's blur
 
 
@@ -34,7 +34,7 @@ def image() -> CtImage:
     )
     z = np.arange(middle - HALF_HEIGHT_MM, middle + HALF_HEIGHT_MM, SPACING_MM).astype(np.float32)
     layers = layers_of(head, EDGE_MM)
-    hu = np.stack([layers.hu_at(x[:, None], y[None, :], one[None, None]) for one in z], axis=2)
+    hu = np.stack([layers.hu_at(x[:, None], y[None, :], one[None]) for one in np.split(z, len(z))], axis=2)
     hu[:3, :3] = 150.0
     return CtImage(hu, np.array([x[0], y[0], z[0]], dtype=float), np.full(3, SPACING_MM))
 
@@ -50,7 +50,7 @@ def test_rays_meet_the_skin_of_a_ct_between_its_voxels(image: CtImage, skin: Hea
     generator = np.random.default_rng(1)
     middle = image.first_mm + 0.5 * np.array(image.hu.shape) * SPACING_MM
     back = np.array([0.4, -0.9, 0.0]) / np.linalg.norm([0.4, -0.9])
-    origins = middle + 400.0 * back + generator.uniform(-45.0, 45.0, (300, 3))
+    origins = middle + 400.0 * back + generator.uniform(-25.0, 25.0, (300, 3))
     along = np.tile(-back, (len(origins), 1))
     found = read.cast(origins, along, 800.0)
     met = np.isfinite(found)
