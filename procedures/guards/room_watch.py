@@ -27,7 +27,7 @@ from procedures.planning.tracker_sight import TrackerSight
 from procedures.room.estimate import AXES, FALSE_ALARM, GUIDE_AT_HEAD, Displacement, RoomEstimate
 from procedures.room.model import Body, Places, Rows, TrackedArm
 from procedures.room.motion import Moved, RoomMotion, find_hidden_motion, find_motion
-from procedures.room.sighting import Sighting, Tracked, expect_frame, expect_spheres
+from procedures.room.sighting import SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import Workcell
 from procedures.workcell.arm_history import stands_at
@@ -174,16 +174,18 @@ class RoomWatch:
         self.epoch = len(self.epochs) - 1
         self._begin_epoch()
 
+    def expect_clamp(self) -> dict[Tracked, SeenFrame]:
+        """Return the frame on the clamp as a careful look would give it; empty if it stands for nothing."""
+        pose = self.epochs[self.epoch].clamp
+        if pose is None or self.clamp_markers_mm is None:
+            return {}
+        seen = expect_frame(pose[:3, 3], pose[:3, :3], self.clamp_markers_mm, CAREFUL_FRAMES)
+        return {Tracked.CLAMP: seen}
+
     def _begin_epoch(self) -> None:
         """Count the reading by which a move of the head was measured as the first look since."""
-        places, frames = self.epochs[self.epoch], {}
-        if places.clamp is not None and self.clamp_markers_mm is not None:
-            pose = places.clamp
-            frames[Tracked.CLAMP] = expect_frame(
-                pose[:3, 3], pose[:3, :3], self.clamp_markers_mm, CAREFUL_FRAMES
-            )
-        seen = expect_spheres(places.spheres_mm, CAREFUL_FRAMES)
-        look = Sighting({}, seen, frames, self.tracker.pushes, self.epoch)
+        seen = expect_spheres(self.spheres_mm, CAREFUL_FRAMES)
+        look = Sighting({}, seen, self.expect_clamp(), self.tracker.pushes, self.epoch)
         self._count(look, self._rows(look))
         self.keep(look)
 
