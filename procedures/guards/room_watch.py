@@ -263,7 +263,8 @@ class RoomWatch:
         reading, rows, motion, expected = judged.reading, judged.rows, judged.motion, self.expected(judged)
         head = room_motion.HeadSeen.of(expected)
         base_mm = None if expected.arm_way_mm is None else float(np.linalg.norm(expected.arm_way_mm))
-        by_frame = head is not None and head.by_frame
+        # Of a head without spheres the frame on its clamp is all there is to see.
+        by_frame = head is not None and head.by_frame and len(self.spheres_mm) > 0
         moved: Refusal | None = None
         if motion is not None:
             at_head = self.head_sight.under_way or reading.on_axis

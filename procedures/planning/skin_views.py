@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,6 +20,7 @@ from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arrays import Array
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform, perpendicular_axes
+from ronna_hw.vectors import JointVector
 
 TRIED_FOR_EACH = 3  # places on the skin for each view that is asked for
 TILTS_RAD = tuple(np.radians((0.0, 20.0, 40.0)))  # from the skin's normal; the line still lights it well
@@ -29,17 +30,14 @@ MOST_SWEPT = 4  # poses at one place that are checked for clearance
 
 def choose_views(
     setting: ArmSetting, branch: Branch, skin_ct_mm: Array, normals_ct: Array, count: int
-) -> tuple[Transform, ...]:
-    """Choose up to `count` poses ROBOT <- TOOL with the tool centre on the skin (n, 3), CT mm.
+) -> tuple[Reached, ...]:
+    """Choose up to `count` views with the tool centre on the skin (n, 3), CT mm, spread over it.
 
-    They are spread over the skin, each reachable in this branch and clear of the head along its approach, in
-    the order of the shortest way from one to the next.
+    Each is reachable in this branch, and clear of the head on its way from home and back.
     """
     turn = setting.robot_from_ct.rotation_matrix
     places, outwards = np.asarray(setting.robot_from_ct.apply(skin_ct_mm)), normals_ct @ turn.T
-    around = None
-    if setting.scene is not None:
-        around = setting.scene.with_stereo_head(setting.robot_from_ct, _stereo_head(setting))
+    around = _around(setting)
     found: list[Reached] = []
     for row in spread_rows(places, TRIED_FOR_EACH * count):
         if len(found) == count:
@@ -47,7 +45,35 @@ def choose_views(
         view = _find_view(setting, branch, places[row], outwards[row], around)
         if view is not None:
             found.append(view)
-    return tuple(one.visit.pose for one in _shortest_way(setting, found))
+    return tuple(found)
+
+
+def order_views(setting: ArmSetting, views: Sequence[Reached]) -> tuple[Reached, ...]:
+    """Order views so that the joints turn little: on to the nearest that can be reached directly."""
+    around = _around(setting)
+    here, rest, ordered = setting.start_rad, list(views), list[Reached]()
+    while rest:
+        rest.sort(key=lambda one: float(np.abs(np.subtract(one.at_rad, here)).max()))
+        best = next((one for one in rest[:MOST_SWEPT] if _goes_directly(setting, here, one, around)), rest[0])
+        rest.remove(best)
+        ordered.append(best)
+        here = best.at_rad
+    return tuple(ordered)
+
+
+def _around(setting: ArmSetting) -> Surroundings | None:
+    if setting.scene is None:
+        return None
+    return setting.scene.with_stereo_head(setting.robot_from_ct, _stereo_head(setting))
+
+
+def _goes_directly(
+    setting: ArmSetting, here: JointVector, view: Reached, around: Surroundings | None
+) -> bool:
+    plan = plan_joint_move(setting.kinematics, here, view.at_rad, setting.limits)
+    return (
+        around is None or sweep_path(setting.kinematics, plan, around, search_closest=False).refused is None
+    )
 
 
 def spread_rows(places_mm: Array, count: int) -> list[int]:
@@ -110,14 +136,3 @@ def _list_poses(place_mm: Array, outwards: Array, tilt_rad: float) -> Iterator[T
         upright = np.column_stack([x, y, axis])
         for roll in np.arange(ROLLS) * 2.0 * np.pi / ROLLS:
             yield tool_pose(Rotation.from_matrix(upright) * Rotation.from_rotvec([0.0, 0.0, roll]), place_mm)
-
-
-def _shortest_way(setting: ArmSetting, views: list[Reached]) -> list[Reached]:
-    """Order views so that the joints turn little: always on to the nearest."""
-    here, rest, ordered = np.array(setting.start_rad), list(views), []
-    while rest:
-        nearest = min(rest, key=lambda one: float(np.abs(np.array(one.at_rad) - here).max()))
-        rest.remove(nearest)
-        ordered.append(nearest)
-        here = np.array(nearest.at_rad)
-    return ordered

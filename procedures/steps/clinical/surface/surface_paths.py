@@ -10,8 +10,8 @@ import numpy as np
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.planning.line_of_sight import SkinSight
-from procedures.planning.skin_views import choose_views
-from procedures.planning.visits import ArmSetting
+from procedures.planning.skin_views import choose_views, order_views
+from procedures.planning.visits import ArmSetting, Reached
 from procedures.registration.surface.errors import NO_STATIONS
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.stations import Station, choose_stations
@@ -58,21 +58,21 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
 
 
 def choose_by_error(
-    setting: ArmSetting, views: Sequence[Transform], skin: Surface, targets_mm: Array
+    setting: ArmSetting, views: Sequence[Reached], skin: Surface, targets_mm: Array
 ) -> tuple[Transform, ...]:
-    """Return the views that lower the expected error at the targets (n, 3), CT mm, most; keep their order.
+    """Return the views that lower the expected error at the targets (n, 3), CT mm, most, as they are taken.
 
     The rest of the scan's time is for the first of the others: they are spread over the skin.
     """
     ct_from_robot, points_mm = setting.robot_from_ct.inverse(), skin.points_mm
     stations = []
     for view in views:
-        middle_mm = ct_from_robot.apply(view.translation_mm)
+        middle_mm = ct_from_robot.apply(view.visit.pose.translation_mm)
         near = np.linalg.norm(points_mm - middle_mm, axis=1) < SEEN_MM
         stations.append(Station(points_mm[near], skin.normals[near], LOOK_S))
     best = choose_stations(stations, targets_mm, worth_mm_per_s=0.0).stations
     chosen = [*best, *(number for number in range(len(views)) if number not in best)][:VIEWS]
-    return tuple(views[number] for number in sorted(chosen))
+    return tuple(one.visit.pose for one in order_views(setting, [views[number] for number in chosen]))
 
 
 STEP = StepSpec(

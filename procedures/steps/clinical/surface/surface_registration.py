@@ -40,6 +40,7 @@ from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
 
 SKIN = "skin and its misfit, scan and arm"  # source of error: they are adjusted together
+SLIPPING = "a head that slips in its clamp, of which the tracker sees the frame alone"
 LEFT_AND_RIGHT = (
     "The scan cannot tell the skin of this head from its mirror image. Compare a sign on one side of the "
     "head, such as a scar or the site of the lesion, with the CT."
@@ -182,7 +183,7 @@ def _predict(
         limit_mm=total.limit_mm(DEFAULT_CONFIDENCE),
         confidence=DEFAULT_CONFIDENCE,
         formula="mixture over the misfits of the skin",
-        excluded=NOT_PREDICTED,
+        excluded=f"{NOT_PREDICTED}; {SLIPPING}",
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in shares.items()),
     )
 

@@ -47,6 +47,7 @@ from ronna_hw.vectors import JointVector, vector3
 
 ACROSS_MM = (0.0, 6.0, -6.0)  # places of the line across a look, along the tool's y axis
 LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
+CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
 DECIMALS = 4  # of a point in the record, mm
 SMALL_STEPS = "the small steps across each place on the skin"
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
@@ -206,7 +207,7 @@ class _Scanner:
                     raise
                 self.reason = problem.summary
                 continue
-            if across_mm == ACROSS_MM[0]:
+            if across_mm == ACROSS_MM[0] and self._number % CHECKED_LOOKS == 0:
                 name = f"at look {self._number + 1}"
                 check_room(self._context, name, sides={Tracked.ARM: self._sides})
             seen = workcell.look_at_line(workcell.look_dark())
