@@ -287,11 +287,12 @@ def _scatter(groups: _Groups, blocks: _Groups, score: Array, weight: Array) -> A
     count = np.bincount(owner, used, len(groups.branch))
     mean = np.bincount(owner, np.where(used, shift, 0.0), len(groups.branch)) / np.maximum(count, 1)
     square = np.bincount(owner, np.where(used, (shift - mean[owner]) ** 2, 0.0), len(groups.branch))
-    pooled = _sum_around(square) / np.maximum(_sum_around(np.maximum(count - 1.0, 0.0)), 1.0)
+    spare = np.asarray(np.maximum(count - 1.0, 0.0), dtype=float)
+    pooled = _sum_around(square) / np.maximum(_sum_around(spare), 1.0)
     return np.asarray(pooled / np.maximum(count, 1.0))
 
 
 def _sum_around(values: Array) -> Array:
     """Return the sum of each value (n,) with its neighbours, however few there are."""
     half = POOLED // 2
-    return np.convolve(values, np.ones(POOLED), "full")[half : half + len(values)]
+    return np.asarray(np.convolve(values, np.ones(POOLED), "full")[half : half + len(values)])
