@@ -288,7 +288,7 @@ def _scatter(groups: _Groups, blocks: _Groups, score: Array, weight: Array) -> A
     mean = np.bincount(owner, np.where(used, shift, 0.0), len(groups.branch)) / np.maximum(count, 1)
     square = np.bincount(owner, np.where(used, (shift - mean[owner]) ** 2, 0.0), len(groups.branch))
     spare = np.asarray(np.maximum(count - 1.0, 0.0), dtype=float)
-    pooled = _sum_around(square) / np.maximum(_sum_around(spare), 1.0)
+    pooled = _sum_around(np.asarray(square, dtype=float)) / np.maximum(_sum_around(spare), 1.0)
     return np.asarray(pooled / np.maximum(count, 1.0))
 
 

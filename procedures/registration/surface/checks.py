@@ -36,14 +36,14 @@ MOVED_TURN_RAD, MOVED_MM = np.radians(1.0), 2.0  # of a head or cart that moved 
 MOST_SPLITS = 12  # moments of a movement that are tried: the next one is near enough
 MOVED_EVIDENCE = 8.0  # log Bayes factor: one in three thousand, several movements tried
 CHANGED_MM = 1.0  # of skin that was pressed or swells (U)
-CHANGED_EVIDENCE = 6.0  # log Bayes factor, above which a region is excluded
-DOUBTED_EVIDENCE = 0.0  # above which its shift is unknown in the adjustment: excluding it would lose too much
-MOST_DOUBTED = 3
-SIDE_SHARES = (0.25, 0.4)  # of the scan, as when the head lay on one side
+CHANGED_EVIDENCE = 4.0  # log Bayes factor, above which a region is excluded
+DOUBTED_EVIDENCE = -2.0  # log Bayes factor above which a shift is unknown in the adjustment, not zero
+MOST_DOUBTED = 6
+SIDE_SHARES = (0.2, 1.0 / 3.0, 0.45)  # of the scan, as when the head lay on one side
 LEAST_CHANGE_MM = 0.4  # a smaller one is a misfit like any other
 CHANGED_RADII_MM = (15.0, 30.0)
 FEWEST_IN_GROUP = 6
-SIDES = 13  # axes along which the sides are taken
+SIDES = 24  # axes along which the sides are taken
 DIRECTIONS = ("left to right", "front to back", "head to feet")  # the axes of the CT
 
 
@@ -130,7 +130,9 @@ def is_side_proven(
     across = np.array([2.0 * axes.middle_mm[0], 0.0, 0.0])
     mirrored = Pose(flip @ found.pose.rotation @ flip, flip @ found.pose.translation_mm + across)
     other = settle(mirrored, points_mm @ flip, view_mm @ flip, surface, used)
-    here, there = found.capped_mm2, other.capped_mm2
+    # A place that is no surface in one of the two says nothing of either.
+    both = used & found.valid & other.valid
+    here, there = found.capped_mean_mm2(both), other.capped_mean_mm2(both)
     if here > there + CLEARLY_MIRRORED_MM2:
         got = f"{there**0.5:.2f} mm rms, else {here**0.5:.2f} mm"
         raise MIRRORED_HEAD("left and right of the CT are exchanged", got=got)
@@ -163,7 +165,7 @@ def weigh_regions(
 ) -> list[ChangedSkin]:
     """Weigh for regions of skin whether they are where the CT shows them; the most doubtful comes first.
 
-    Tried are discs of two sizes, the parts of the head by name, and two shares of the scan on each side.
+    Tried are discs of two sizes, the parts of the head by name, and three shares of the scan on each side.
     """
     places, distances = found.places_mm[used], found.distances_mm[used]
     names = axes.name_parts(places)

@@ -74,6 +74,10 @@ class Settled:
         capped = np.where(self.valid, np.minimum(np.abs(self.distances_mm), NEAR_MM), NEAR_MM)
         return float(np.mean(capped**2))
 
+    def capped_mean_mm2(self, used: Mask) -> float:
+        """Mean square of the distances of some points; far ones count as `NEAR_MM`."""
+        return float(np.mean(np.minimum(np.abs(self.distances_mm[used]), NEAR_MM) ** 2)) if used.any() else 0.0
+
     def sigma_of(self, used: Mask) -> float:
         """Robust standard deviation of the valid distances of some points."""
         rows = self.valid & used
@@ -103,7 +107,7 @@ def settle(
         weighted = jacobian * cauchy_weights(distances, sigma)[:, None]
         normal = weighted.T @ jacobian
         normal[np.diag_indices(6)] *= 1.0 + RIDGE
-        shift: Array = -np.linalg.lstsq(normal, weighted.T @ distances, rcond=None)[0]
+        shift = np.asarray(-np.linalg.lstsq(normal, weighted.T @ distances, rcond=None)[0], dtype=float)
         found = Settled.at(found.pose.moved(shift, centre), points_mm, view_mm, surface)
         if np.linalg.norm(shift[3:]) < STILL_MM and np.linalg.norm(shift[:3]) < STILL_RAD:
             break

@@ -32,8 +32,9 @@ CANDIDATES, VIEWS = 36, 18  # looks that are compared, and taken: 54 lines, thre
 LOOK_S = 3.0  # theatre time of a look
 SEEN_MM = 12.0  # of the skin around the middle of a look: half of a line
 FEWEST_VIEWS = 8  # with fewer the scan would be refused for its coverage
-# Parts that hair grows on, or that lie on the headrest: a line does not show the skin there.
-NOT_SCANNED = ("vault", "occiput", "neck")
+# Parts that hair grows on or that lie on the headrest, where a line does not show the skin; and the jaw,
+# which opens.
+NOT_SCANNED = ("vault", "occiput", "neck", "jaw")
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
