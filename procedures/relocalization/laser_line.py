@@ -20,6 +20,7 @@ from typing import Self
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from procedures.relocalization.errors import BadImage, NoLine, Saturated
@@ -137,14 +138,14 @@ class _Profiles:
     def __init__(self, grey: GreyImage, light: GreyImage, ridges: Ridges, half_px: int) -> None:
         start = np.clip(np.rint(ridges.column).astype(np.int64) - half_px, 0, None)
         start = np.minimum(start, light.shape[1] - 2 * half_px - 1)
-        columns = start[:, None] + np.arange(2 * half_px + 1)
-        has_clipped = int(grey.max()) >= highest_grey(grey)
-        at = ridges.row[:, None], columns
-        profile = light[at].astype(np.float32)
+        width_px = 2 * half_px + 1
+        at = ridges.row, start
+        profile = sliding_window_view(light, width_px, axis=1)[at].astype(np.float32)
         ends = 0.5 * (profile[:, :EDGE_PX].mean(axis=1) + profile[:, -EDGE_PX:].mean(axis=1))
         self.light = profile - ends[:, None]
-        self._clipped = grey[at] >= highest_grey(grey) if has_clipped else None
-        self._columns = columns.astype(np.float32)
+        clipped = sliding_window_view(grey, width_px, axis=1)[at] >= highest_grey(grey)
+        self._clipped = clipped if clipped.any() else None
+        self._columns = (start[:, None] + np.arange(width_px)).astype(np.float32)
 
     def answer(self, centre: Array, sigma_px: float) -> tuple[Array, Array]:
         """Return what each row shows more on the right, and how that grows per px with the centre."""
