@@ -39,8 +39,8 @@ from procedures.reporting.sections.evidence import EvidenceSection, read_evidenc
 from procedures.reporting.sections.header import Header, RunOpening, read_header
 from procedures.reporting.sections.plan import PlanSection, read_plan
 from procedures.reporting.sections.spheres import Spheres, read_spheres
-from procedures.reporting.sections.surface import SurfaceSection, read_surface
 from procedures.reporting.sections.stability import Stability, read_stability
+from procedures.reporting.sections.surface import SurfaceSection, read_surface
 from procedures.reporting.sections.targets import Targets, read_targets
 from procedures.reporting.sections.two_arms import TwoArms, read_two_arms
 from procedures.reporting.sections.verdict import VerdictSection, describe_exclusions, read_assistant_work

@@ -138,6 +138,6 @@ NO_STATIONS = ErrorCode(
 ARM_NOT_CALIBRATED = ErrorCode(
     "SRF-034",
     RefusedError,
-    "The arm has no calibration record: looks at the skin from many sides would show its errors as a wrong shape.",
+    "The arm has no calibration record: seen from many sides, the skin would look like another head.",
     "Calibrate the arm and name its record in the theatre file, or register by markers.",
 )

@@ -76,7 +76,8 @@ class Settled:
 
     def capped_mean_mm2(self, used: Mask) -> float:
         """Mean square of the distances of some points; far ones count as `NEAR_MM`."""
-        return float(np.mean(np.minimum(np.abs(self.distances_mm[used]), NEAR_MM) ** 2)) if used.any() else 0.0
+        distances_mm = np.minimum(np.abs(self.distances_mm[used]), NEAR_MM)
+        return float(np.mean(distances_mm**2)) if len(distances_mm) else 0.0
 
     def sigma_of(self, used: Mask) -> float:
         """Robust standard deviation of the valid distances of some points."""

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 from procedures.reporting.files import Picture, load_pictures
 from procedures.reporting.run_reading import RunReading
-from procedures.steps.clinical.surface.skin_in_ct import SkinInCt
-from procedures.steps.clinical.surface.surface_registration import RegisteredBySurface
-from procedures.steps.clinical.surface.surface_scan import ScannedSurface
-from procedures.steps.clinical.surface.surface_start import SurfaceStart
+from procedures.steps.clinical.correspondence import SurfaceStart
+from procedures.steps.clinical.fiducial_localization import SkinInCt
+from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
 
 
 @dataclass(frozen=True)

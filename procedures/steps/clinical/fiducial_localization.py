@@ -25,6 +25,7 @@ from procedures.imaging.scan_deformation import require_undeformed
 from procedures.imaging.volume import Volume
 from procedures.intraoperative.bone_pose import PoseEstimate
 from procedures.journal.results import StepResult, Values
+from procedures.planning.faced_head import face_bodies
 from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
 from procedures.planning.plan_model import FiducialKind
 from procedures.planning.scene import build_frame_bodies
@@ -233,6 +234,29 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan", vers
         sizes = np.linalg.cholesky(pose.covariance)
         there_mm = rotation @ pose_jacobian(np.array(target_mm), pose.middle_mm) @ sizes
         return (SharedErrors(SCAN_PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
+
+
+class ExcludedSkin(Values):
+    """Part of the boundary in the CT that is no skin to register on."""
+
+    reason: str = Field(description="Why.")
+    share: float = Field(description="Of the whole boundary.")
+    middle_mm: Numbers3 = Field(description="Middle of these places, LPS.")
+
+
+class SkinInCt(LocalizedFiducials, kind="skin_in_ct"):
+    """The skin in the CT of a head without markers."""
+
+    samples: int = Field(description="Places on the skin that the scan may be registered to.")
+    excluded: tuple[ExcludedSkin, ...] = Field(description="Parts that it may not.")
+    cranium: HeadEllipsoid = Field(description="Ellipsoid around the cranium.")
+    face: HeadEllipsoid = Field(description="Ellipsoid around what is below it.")
+
+    def head_in(self, volume: Volume) -> HeadEllipsoid:
+        return self.cranium
+
+    def bodies_on_head(self, fiducials: FiducialKind) -> tuple[Obstacle, ...]:
+        return face_bodies(self.face)
 
 
 def estimate_of(result: IntraoperativeSpheres) -> PoseEstimate:

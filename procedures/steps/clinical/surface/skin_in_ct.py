@@ -2,49 +2,18 @@
 
 from __future__ import annotations
 
-from pydantic import Field
-
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.ct_surface import CtSurface, find_skin
-from procedures.imaging.volume import Volume
-from procedures.journal.results import Values
-from procedures.planning.faced_head import face_bodies, fit_cranium_and_face
-from procedures.planning.head_in_ct import HeadEllipsoid
-from procedures.planning.plan_model import FiducialKind
+from procedures.planning.faced_head import fit_cranium_and_face
 from procedures.registration.surface.errors import ARM_NOT_CALIBRATED, NO_PATIENT_FRAME, NO_PROJECTOR
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.conditions import needs_guide_unmounted
-from ronna_hw.arm.clearance.bodies import Obstacle
-from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.sensors import line_projector
 
 LEAST_TOLD = 0.01  # of the boundary, for a part that is not used to be told of
-
-
-class ExcludedSkin(Values):
-    """Part of the boundary in the CT that is no skin to register on."""
-
-    reason: str = Field(description="Why.")
-    share: float = Field(description="Of the whole boundary.")
-    middle_mm: Numbers3 = Field(description="Middle of these places, LPS.")
-
-
-class SkinInCt(LocalizedFiducials, kind="skin_in_ct"):
-    """The skin in the CT of a head without markers."""
-
-    samples: int = Field(description="Places on the skin that the scan may be registered to.")
-    excluded: tuple[ExcludedSkin, ...] = Field(description="Parts that it may not.")
-    cranium: HeadEllipsoid = Field(description="Ellipsoid around the cranium.")
-    face: HeadEllipsoid = Field(description="Ellipsoid around what is below it.")
-
-    def head_in(self, volume: Volume) -> HeadEllipsoid:
-        return self.cranium
-
-    def bodies_on_head(self, fiducials: FiducialKind) -> tuple[Obstacle, ...]:
-        return face_bodies(self.face)
 
 
 def run(context: StepContext) -> Outcome[SkinInCt]:

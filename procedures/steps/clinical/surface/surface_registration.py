@@ -10,31 +10,36 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.journal.errors import GateFailed
-from procedures.journal.results import FramedPose, Values
+from procedures.journal.results import FramedPose
 from procedures.operator.question import Question, Topic
 from procedures.planning.guide import direction_covariance_mm2, instrument_covariance_mm2
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration.error_sources import DIRECTION, FUSION, GUIDE_TIP, INSTRUMENT, STEREO_HEAD
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE
-from procedures.registration.surface.checks import ChangedSkin
 from procedures.registration.surface.surface_registration import SurfaceRegistration, register_surface
 from procedures.registration.target_prediction import SharedErrors
 from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical import error_budget
+from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import against_margins, exclude_beyond_margin, picture_of
-from procedures.steps.clinical.results import NOT_PREDICTED, ErrorShare, Prediction, RegisteredRobot
+from procedures.steps.clinical.results import (
+    NOT_PREDICTED,
+    ErrorShare,
+    Prediction,
+    RegisteredBySurface,
+    ScannedSurface,
+    SkinRegion,
+)
 from procedures.steps.clinical.room import ROOM_READS
-from procedures.steps.clinical.surface.skin_in_ct import SkinInCt, skin_of
-from procedures.steps.clinical.surface.surface_scan import ScannedSurface
-from procedures.steps.clinical.surface.surface_start import SurfaceStart
+from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
@@ -45,35 +50,6 @@ LEFT_AND_RIGHT = (
     "The scan cannot tell the skin of this head from its mirror image. Compare a sign on one side of the "
     "head, such as a scar or the site of the lesion, with the CT."
 )
-
-
-class SkinRegion(Values):
-    """Region of the skin that is not where the CT shows it, or may not be."""
-
-    parts: tuple[str, ...] = Field(description="Parts of the head.")
-    shift_mm: float = Field(description="By how much, outwards.")
-
-    @classmethod
-    def of(cls, changed: ChangedSkin) -> SkinRegion:
-        return cls(parts=changed.parts, shift_mm=changed.shift_mm)
-
-
-class RegisteredBySurface(RegisteredRobot, kind="surface_registration"):
-    """Pose of the CT in the robot frame by the skin, with the predicted error at its targets."""
-
-    points: int = Field(description="Points of the thinned scan.")
-    excluded: float = Field(description="Share of them that is no skin, or changed skin.")
-    coverage: float = Field(description="Share of the skin above the jaw near the points used.")
-    misfit_mm: float = Field(description="Standard deviation of the skin's misfit, as the scan shows it.")
-    misfit_length_mm: float = Field(description="Length over which the misfit is alike.")
-    side_proven: bool = Field(description="Whether the mirror image fits clearly worse.")
-    changed: tuple[SkinRegion, ...] = Field(default=(), description="Regions left out: they have moved.")
-    doubted: tuple[SkinRegion, ...] = Field(default=(), description="Regions that may have moved.")
-
-    @property
-    def can_follow(self) -> bool:
-        """A head without spheres is scanned again: the tracker sees its clamp, not the head in it."""
-        return False
 
 
 def run(context: StepContext) -> Outcome[RegisteredBySurface]:

@@ -7,20 +7,17 @@ errs there its points share, and the registration accounts for it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Self
 
 import numpy as np
-from pydantic import Field, NonNegativeInt
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
-from procedures.journal.results import Values
 from procedures.registration.surface.errors import NOTHING_LIT
-from procedures.registration.surface.scan import SurfaceScan
 from procedures.relocalization.triangulation import camera_model
 from procedures.room.sighting import Tracked
+from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.path_check import (
     CheckedPaths,
@@ -29,11 +26,10 @@ from procedures.steps.clinical.path_check import (
     motions_over_spheres,
 )
 from procedures.steps.clinical.relocalization import arriving
-from procedures.steps.clinical.results import Relocalization
+from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedSurface
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surface.coverage_picture import draw_coverage
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
-from procedures.steps.clinical.surface.surface_start import SurfaceStart
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.workcell import MountedTool
@@ -41,9 +37,8 @@ from procedures.workcell.centring import Centring
 from procedures.workcell.line_look import LineLook
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.arrays import Array
-from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError, is_error
-from ronna_hw.vectors import JointVector, vector3
+from ronna_hw.vectors import vector3
 
 ACROSS_MM = (0.0, 6.0, -6.0)  # places of the line across a look, along the tool's y axis
 LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
@@ -51,57 +46,6 @@ CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; t
 DECIMALS = 4  # of a point in the record, mm
 SMALL_STEPS = "the small steps across each place on the skin"
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
-Numbers6 = tuple[float, float, float, float, float, float]
-
-
-class ScannedLine(Values):
-    """Points of one line of light on the skin, robot frame, by the nominal tool pose."""
-
-    look: NonNegativeInt = Field(description="Number of the look that it belongs to.")
-    joints_rad: JointVector = Field(description="Joints measured there.")
-    view_mm: Numbers3 = Field(description="Place of the left camera.")
-    points_mm: tuple[Numbers3, ...] = Field(description="Its points.")
-    covariances_mm2: tuple[Numbers6, ...] = Field(
-        description="Of their measurement alone: xx, xy, xz, yy, yz, zz."
-    )
-
-
-class ScannedSurface(Relocalization, kind="surface_scan"):
-    """The skin as the stereo head saw it, in the place of spheres."""
-
-    lines: tuple[ScannedLine, ...] = Field(description="Lines with points, in the order of the scan.")
-    planned_looks: int = Field(description="Looks of the path check.")
-    dark: dict[str, str] = Field(description="Looks without any line, by their number from 1, and why.")
-    covered: float = Field(description="Share of the skin above the jaw within 10 mm of a point.")
-    theatre_s: float = Field(description="Theatre time from the first look to the last.")
-
-    @property
-    def scan(self) -> SurfaceScan:
-        """The cloud, as a registration takes it."""
-        return SurfaceScan.join([_as_scan(number, line) for number, line in enumerate(self.lines)])
-
-    @property
-    def looks_taken(self) -> tuple[int, ...]:
-        """Numbers of the looks with points, ascending."""
-        return tuple(sorted({line.look for line in self.lines}))
-
-    @classmethod
-    def without_spheres(cls, **fields: object) -> Self:
-        """Build the result; what a relocalization says of each sphere is empty."""
-        empty = dict.fromkeys(
-            (
-                "fiducials",
-                "points_robot_mm",
-                "covariances_mm2",
-                "residuals_mm",
-                "ray_gaps_mm",
-                "radii_mm",
-                "looks",
-                "joints_rad",
-            ),
-            (),
-        )
-        return cls.model_validate({**empty, **fields})
 
 
 def run(context: StepContext) -> Outcome[ScannedSurface]:
@@ -242,24 +186,8 @@ def _rounded(points_mm: Array) -> Array:
     return np.asarray(np.round(points_mm, DECIMALS))
 
 
-UPPER = np.triu_indices(3)
-
-
 def _upper(covariance_mm2: Array) -> Array:
     return np.asarray(covariance_mm2[:, UPPER[0], UPPER[1]])
-
-
-def _as_scan(number: int, line: ScannedLine) -> SurfaceScan:
-    count = len(line.points_mm)
-    covariance = np.empty((count, 3, 3))
-    covariance[:, UPPER[0], UPPER[1]] = covariance[:, UPPER[1], UPPER[0]] = line.covariances_mm2
-    return SurfaceScan(
-        np.array(line.points_mm),
-        covariance,
-        np.full(count, line.look),
-        np.full(count, number),
-        np.tile(line.view_mm, (count, 1)),
-    )
 
 
 STEP = StepSpec(

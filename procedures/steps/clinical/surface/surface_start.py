@@ -7,13 +7,12 @@ them on the patient and the computer in the CT, without a mark on either.
 from __future__ import annotations
 
 import numpy as np
-from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.head_landmarks import find_landmark
 from procedures.journal.errors import GateFailed
-from procedures.journal.results import FramedPose, Values
+from procedures.journal.results import FramedPose
 from procedures.operator.question import Task
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere
@@ -21,13 +20,13 @@ from procedures.registration.room_prior import LANDMARKS
 from procedures.registration.surface.starts import Start
 from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical.coarse_match import room_prior
-from procedures.steps.clinical.correspondence import FARTHEST_MM, READ_AGAIN, Correspondence
+from procedures.steps.clinical.correspondence import FARTHEST_MM, READ_AGAIN, SurfaceStart, TouchedPoint
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
+from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.surface.skin_in_ct import SkinInCt, skin_of
+from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.conditions import needs_guide_unmounted
-from ronna_hw.calibration import Numbers3
 from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import vector3
 from ronna_hw.wire.room_tasks import TOUCH
@@ -37,28 +36,6 @@ LANDMARK_SD_MM = 4.0  # per axis, of a landmark touched on skin and found in the
 # Of the touched places from the same three of the CT, rms.
 # Safety against a mistyped reading, and against another patient. Source: four times the landmarks' own error.
 MOST_APART_MM = 4.0 * LANDMARK_SD_MM
-
-
-class TouchedPoint(Values):
-    """Landmark of the head, in the CT and as it was touched."""
-
-    landmark: str = Field(description="Which one.")
-    in_ct_mm: Numbers3 = Field(description="Its place in the CT, LPS.")
-    touched_mm: Numbers3 = Field(description="As read, robot frame.")
-    off_mm: float = Field(description="Distance from where the fit has it.")
-
-
-class SurfaceStart(Correspondence, kind="surface_start"):
-    """Coarse pose of a head without markers, by its landmarks."""
-
-    landmarks: tuple[TouchedPoint, ...] = Field(description="As touched, in this order.")
-    turn_sd_rad: float = Field(description="Standard deviation of the pose's rotation.")
-    place_sd_mm: float = Field(description="Standard deviation of its place.")
-
-    @property
-    def start(self) -> Start:
-        """The pose with its error."""
-        return Start(self.robot_from_ct.transform, self.turn_sd_rad, self.place_sd_mm)
 
 
 def run(context: StepContext) -> Outcome[SurfaceStart]:

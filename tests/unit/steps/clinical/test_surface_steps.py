@@ -22,9 +22,13 @@ from procedures.registration.surface.errors import (
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.results import RegisteredRobot, Relocalization
+from procedures.steps.clinical.results import (
+    RegisteredRobot,
+    Relocalization,
+    ScannedLine,
+    ScannedSurface,
+)
 from procedures.steps.clinical.surface import skin_in_ct, surface_paths, surface_scan
-from procedures.steps.clinical.surface.surface_scan import ScannedLine, ScannedSurface
 from ronna_hw.roles import TWO_ARMS
 
 
