@@ -60,5 +60,4 @@ def _switch(stereo: StereoPair, *, on: bool) -> None:
     projector = line_projector(stereo)
     if projector is None:
         raise NO_PROJECTOR("the stereo head of this theatre has no line projector")
-    if projector.projector_on != on:
-        projector.set_projector(on)
+    projector.set_projector(on)
