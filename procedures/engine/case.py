@@ -163,10 +163,14 @@ class Case:
         return had_result and not self.stands(key)
 
     def find(self, model: type[R], trajectory: str | None) -> Stored[R] | None:
-        """Look up a valid result of a model, first for the trajectory and then for the whole case."""
-        for key in (StepKey(model.kind, trajectory), StepKey(model.kind)):
-            if key in self._standing:
-                return cast("Stored[R]", self._standing[key])
+        """Look up a valid result of a model, first for the trajectory and then for the whole case.
+
+        Without one of its own kind, that of a derived model stands in for it.
+        """
+        for kind in stand_ins(model):
+            for key in (StepKey(kind, trajectory), StepKey(kind)):
+                if key in self._standing:
+                    return cast("Stored[R]", self._standing[key])
         return None
 
     def get(self, model: type[R], trajectory: str | None = None) -> Stored[R]:
@@ -249,9 +253,12 @@ def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
     return frozenset(past)
 
 
-def parent_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
-    """Return a record's parent of a given kind from `records` (by identifier), or None."""
-    return next((parent for parent in _parents(record, records) if parent.kind == kind), None)
+def parent_of_kind(
+    record: Record, model: type[StepResult], records: Mapping[str, Record]
+) -> Record | None:
+    """Return a record's parent that is of a model, or stands in for it, from `records` (by identifier)."""
+    kinds = stand_ins(model)
+    return next((parent for parent in _parents(record, records) if parent.kind in kinds), None)
 
 
 def ancestor_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:

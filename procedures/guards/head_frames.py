@@ -130,7 +130,8 @@ class PatientFrames:
         self, frame: TrackerFrame, on_clamp_mm: Sequence[Sequence[float]], ghosts: GhostFinder = no_ghosts
     ) -> None:
         """Add a tracker frame, and the markers of the patient's frame by its pose in it."""
-        self.spheres.add_frame(frame, ghosts)
+        if len(self.spheres.spheres_mm):
+            self.spheres.add_frame(frame, ghosts)
         if self.clamp is not None:
             self.clamp.add_places(on_clamp_mm)
 
@@ -151,7 +152,8 @@ class PatientFrames:
 
     @property
     def _both(self) -> tuple[HeadFrames, ...]:
-        return (self.spheres,) if self.clamp is None else (self.spheres, self.clamp)
+        spheres = (self.spheres,) if len(self.spheres.spheres_mm) or self.clamp is None else ()
+        return spheres if self.clamp is None else (*spheres, self.clamp)
 
 
 def _displacements(spheres_mm: Array, places_mm: Sequence[Sequence[float]]) -> Array:

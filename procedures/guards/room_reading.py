@@ -89,6 +89,12 @@ class RoomReading:
         return np.array([group.mean_mm for group in self.groups]).reshape(-1, 3)
 
     @property
+    def head_mm(self) -> Array:
+        """Points (m, 3) that move with the head, tracker frame: strays, else markers of the clamp's frame."""
+        on_clamp = self.frames.get(Tracked.CLAMP)
+        return on_clamp.markers_mm if on_clamp is not None and not self.groups else self.spheres_mm
+
+    @property
     def on_clamp(self) -> Transform | None:
         """Pose TRACKER <- PATIENT of the frame on the head clamp, None if not seen."""
         return _pose(self.frames.get(Tracked.CLAMP), Frame.PATIENT)
@@ -162,6 +168,8 @@ class RoomReading:
         `in_place_mm` of that place: there, a sphere is more likely.
         """
         seen_mm = self.spheres_mm
+        if not len(spheres_mm):  # a head without markers: strays are reflections and ghosts
+            return []
         pairs = identify_points(spheres_mm, seen_mm)
         if pairs is None:
             apart = np.linalg.norm(spheres_mm[:, None] - seen_mm[None], axis=2)

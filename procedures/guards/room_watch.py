@@ -27,7 +27,7 @@ from procedures.planning.tracker_sight import TrackerSight
 from procedures.room.estimate import AXES, FALSE_ALARM, GUIDE_AT_HEAD, Displacement, RoomEstimate
 from procedures.room.model import Body, Places, Rows, TrackedArm
 from procedures.room.motion import Moved, RoomMotion, find_hidden_motion, find_motion
-from procedures.room.sighting import Sighting, Tracked, expect_frame, expect_spheres
+from procedures.room.sighting import SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import Workcell
 from procedures.workcell.arm_history import stands_at
@@ -174,16 +174,18 @@ class RoomWatch:
         self.epoch = len(self.epochs) - 1
         self._begin_epoch()
 
+    def expect_clamp(self) -> dict[Tracked, SeenFrame]:
+        """Return the frame on the clamp as a careful look would give it; empty if it stands for nothing."""
+        pose = self.epochs[self.epoch].clamp
+        if pose is None or self.clamp_markers_mm is None:
+            return {}
+        seen = expect_frame(pose[:3, 3], pose[:3, :3], self.clamp_markers_mm, CAREFUL_FRAMES)
+        return {Tracked.CLAMP: seen}
+
     def _begin_epoch(self) -> None:
         """Count the reading by which a move of the head was measured as the first look since."""
-        places, frames = self.epochs[self.epoch], {}
-        if places.clamp is not None and self.clamp_markers_mm is not None:
-            pose = places.clamp
-            frames[Tracked.CLAMP] = expect_frame(
-                pose[:3, 3], pose[:3, :3], self.clamp_markers_mm, CAREFUL_FRAMES
-            )
-        seen = expect_spheres(places.spheres_mm, CAREFUL_FRAMES)
-        look = Sighting({}, seen, frames, self.tracker.pushes, self.epoch)
+        seen = expect_spheres(self.spheres_mm, CAREFUL_FRAMES)
+        look = Sighting({}, seen, self.expect_clamp(), self.tracker.pushes, self.epoch)
         self._count(look, self._rows(look))
         self.keep(look)
 
@@ -249,7 +251,7 @@ class RoomWatch:
         move = self.tracker.move
         here = self.robot_from_tracker @ move.inverse()
         places = (self.spheres_mm, *(() if self.clamp_mm is None else (self.clamp_mm,)))
-        return tuple(TrackerSight(here, move.apply(one)) for one in places)
+        return tuple(TrackerSight(here, move.apply(one)) for one in places if len(one))
 
     def compare(self, reading: RoomReading | JudgedReading, now_s: float = 0.0) -> RoomLook:
         """Hold a reading against all looks before, and count it among them if nothing has moved.
@@ -261,7 +263,8 @@ class RoomWatch:
         reading, rows, motion, expected = judged.reading, judged.rows, judged.motion, self.expected(judged)
         head = room_motion.HeadSeen.of(expected)
         base_mm = None if expected.arm_way_mm is None else float(np.linalg.norm(expected.arm_way_mm))
-        by_frame = head is not None and head.by_frame
+        # Of a head without spheres the frame on its clamp is all there is to see.
+        by_frame = head is not None and head.by_frame and len(self.spheres_mm) > 0
         moved: Refusal | None = None
         if motion is not None:
             at_head = self.head_sight.under_way or reading.on_axis
@@ -372,9 +375,9 @@ class RoomWatch:
         self.tracker_moved(self.tracker)
         if push is None:
             return self.judge(reading), ("the tracker was moved by little; arm and head agree",)
-        at_head_mm = math.sqrt(
-            float(((push.apply(self.spheres_mm) - self.spheres_mm) ** 2).sum(axis=1).mean())
-        )
+        at_head = self.spheres_mm if len(self.spheres_mm) else self.clamp_mm
+        assert at_head is not None  # a head is watched by spheres, or by the frame on its clamp
+        at_head_mm = math.sqrt(float(((push.apply(at_head) - at_head) ** 2).sum(axis=1).mean()))
         turned_deg = math.degrees(float(push.rigid.rotation.magnitude()))
         return self.judge(reading.moved_by(push.inverse(), self.robot_from_tracker)), (
             f"the tracker was moved: by {at_head_mm:.1f} mm as seen at the head, turned by {turned_deg:.2f} "
@@ -408,7 +411,7 @@ class RoomWatch:
 
     def _tell_by_frame(self, *, hidden: bool) -> tuple[str, ...]:
         """Return a finding when the spheres have become hidden and only the frame on the clamp is watched."""
-        is_new = hidden and not self._by_frame_only
+        is_new = hidden and not self._by_frame_only and len(self.spheres_mm) > 0
         self._by_frame_only = hidden
         if not is_new:
             return ()

@@ -29,6 +29,7 @@ from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, list_localizations
 from procedures.registration.movement import LEAST_POINTS
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strategy
+from procedures.strategies.skin_looks import SkinLooks
 from procedures.strategies.strategy import (
     FURTHEST_RAD,
     OUTWARDS_RAD,
@@ -274,8 +275,8 @@ def find_alternatives(
 
     The trajectory and the fiducials (n, 3) are in CT mm. The case's own and those already tried are left out.
     """
-    if not _is_target_reachable(setting, trajectory):
-        return ()
+    if isinstance(setting.strategy, SkinLooks) or not _is_target_reachable(setting, trajectory):
+        return ()  # the skin is scanned once, in poses of its own
     known = {setting.strategy.name, *tried}
     if isinstance(setting.strategy, BestOfEach):
         known |= {one.name for one in CANDIDATES}

@@ -64,7 +64,7 @@ UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "D
 
 
 class FiducialKind(StrEnum):
-    """Kind of fiducials: single spheres on screws, the x-shaped frame, or adhesive rings on the skin.
+    """Kind of fiducials: spheres on screws, the x-shaped frame, adhesive rings, or the surface of the head.
 
     Only the CT shows adhesive rings: a plan may name them, a case refuses it.
     """
@@ -72,6 +72,7 @@ class FiducialKind(StrEnum):
     FREE = "free"
     XFRAME = "xframe"
     ADHESIVE = "adhesive"
+    SURFACE = "surface"
 
 
 class PlannedTrajectory(Strict):
@@ -206,9 +207,12 @@ class Plan(Strict):
     table_position: PatientPosition | None = Field(
         default=None, description="Patient position on the operating table, if not as in the scanner."
     )
-    implanted: int = Field(ge=FEWEST_MARKERS, le=MOST_MARKERS, description="Markers on the head.")
+    implanted: int = Field(
+        ge=0, le=MOST_MARKERS, description="Markers on the head, 3 to 8; none with the surface as fiducial."
+    )
     fiducials: FiducialKind = Field(
-        description="Single spheres, the x-shaped frame, or adhesive rings, with which no case begins."
+        description="Single spheres, the x-shaped frame, the head's surface, or adhesive rings, with which "
+        "no case begins."
     )
     template_mm: tuple[Point, ...] | None = Field(
         default=None,
@@ -242,6 +246,17 @@ class Plan(Strict):
     seal: Seal | None = Field(
         default=None, description="Seal of the planner; remove it to edit the file by hand."
     )
+
+    @model_validator(mode="after")
+    def _check_implanted(self) -> Plan:
+        fewest, most = (0, 0) if self.fiducials is FiducialKind.SURFACE else (FEWEST_MARKERS, MOST_MARKERS)
+        if not fewest <= self.implanted <= most:
+            raise PydanticCustomError(
+                "implanted",
+                "{implanted} markers are implanted, with fiducials {kind} there are {fewest} to {most}",
+                {"implanted": self.implanted, "kind": self.fiducials.value, "fewest": fewest, "most": most},
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_frame(self) -> Plan:

@@ -288,8 +288,12 @@ def _scatter(groups: _Groups, blocks: _Groups, score: Array, weight: Array) -> A
     count = np.bincount(owner, used, len(groups.branch))
     mean = np.bincount(owner, np.where(used, shift, 0.0), len(groups.branch)) / np.maximum(count, 1)
     square = np.bincount(owner, np.where(used, (shift - mean[owner]) ** 2, 0.0), len(groups.branch))
-    around = np.ones(POOLED)
-    pooled = np.convolve(square, around, "same") / np.maximum(
-        np.convolve(np.maximum(count - 1.0, 0.0), around, "same"), 1.0
-    )
+    spare = np.asarray(np.maximum(count - 1.0, 0.0), dtype=float)
+    pooled = _sum_around(np.asarray(square, dtype=float)) / np.maximum(_sum_around(spare), 1.0)
     return np.asarray(pooled / np.maximum(count, 1.0))
+
+
+def _sum_around(values: Array) -> Array:
+    """Return the sum of each value (n,) with its neighbours, however few there are."""
+    half = POOLED // 2
+    return np.asarray(np.convolve(values, np.ones(POOLED), "full")[half : half + len(values)])

@@ -12,7 +12,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
-from procedures.engine.case import Case, Stored, parent_of_kind, stand_ins
+from procedures.engine.case import Case, Stored, parent_of_kind, results_of, stand_ins
 from procedures.journal.results import StepResult, parse_record
 from procedures.reporting.kept_truth import load_sealed_truth
 from procedures.reporting.outcome import Truth
@@ -187,8 +187,8 @@ def find_used_registrations(
     for record in records:
         if record.kind != ReachedTarget.kind or record.identifier in gone or record.trajectory is None:
             continue
-        positioned = parent_of_kind(record, PositionedGuide.kind, by_name)
-        by = positioned and parent_of_kind(positioned, RegisteredRobot.kind, by_name)
+        positioned = parent_of_kind(record, PositionedGuide, by_name)
+        by = positioned and parent_of_kind(positioned, RegisteredRobot, by_name)
         if by is not None:
             used[record.trajectory] = by.identifier
     found = (
@@ -225,7 +225,5 @@ def describe_strategies(strategy: str, used: Mapping[str, str | None]) -> str:
 def registrations_of(case: Case) -> tuple[UsedRegistration, ...]:
     """Find the registrations used in a case. Raises REC-001, REC-003 for an unreadable record."""
     records, stands = case.records, {one.record.identifier for one in case.valid_results}
-    made = [
-        Stored(one, parse_record(one, RegisteredRobot)) for one in records if one.kind == RegisteredRobot.kind
-    ]
+    made = results_of(RegisteredRobot, records)
     return find_used_registrations(made, records, {one.identifier for one in records} - stands)

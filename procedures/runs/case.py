@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from procedures.planning.plan_model import Plan
     from procedures.runs.engine_setup import EngineInput
     from procedures.runs.interrupted_run import InterruptedRun, Resumption
+    from procedures.strategies.strategy import Strategy
     from ronna_hw.theatre import Theatre
 
 
@@ -32,13 +33,13 @@ def case_folder(case: CaseProcedure, folder: Path) -> Path:
 def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = None) -> ClinicalInput:
     """Return CT, plan, strategy and methods of a run, with the hash of the locked plan if given."""
     from procedures.engine.setting import ClinicalInput
-    from procedures.strategies.catalogue import find_strategy
+    from procedures.planning.plan_file import parse_plan_bytes
 
     place = case_folder(case, folder)
     return ClinicalInput(
         place / "ct",
         place / "plan.toml",
-        find_strategy(case.strategy),
+        strategy_of(case, None if plan is None else parse_plan_bytes(plan.content, place.name)),
         case.measure_targets,
         None if plan is None else plan.sha256,
         case.methods,
@@ -59,17 +60,45 @@ def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder
     return _build_order(case, checked[-1].result.plan if checked else None)
 
 
+def strategy_of(case: CaseProcedure, plan: Plan | None) -> Strategy:
+    """Return the strategy of a case; one that registers on the skin has its own."""
+    from procedures.strategies.catalogue import find_strategy
+    from procedures.strategies.skin_looks import SkinLooks
+
+    return SkinLooks() if registers_on_skin(plan) else find_strategy(case.strategy)
+
+
+def registers_on_skin(plan: Plan | None) -> bool:
+    """Whether a plan has the skin registered instead of markers."""
+    from procedures.planning.plan_model import FiducialKind
+
+    return plan is not None and plan.fiducials is FiducialKind.SURFACE
+
+
+def _require_one_change(case: CaseProcedure, plan: Plan) -> None:
+    """Raise CLI-001 for a case on the skin with an assistant, or with a scan during the operation."""
+    from ronna_hw.command_line.errors import UsageMistake
+
+    if registers_on_skin(plan) and (len(case.roles) > 1 or case.intraoperative):
+        raise UsageMistake(
+            'the plan has fiducials = "surface", which neither --dual nor --intraoperative is made for',
+            action="Omit the option, or register by markers.",
+        )
+
+
 def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
     from procedures.engine.order import order_of
     from procedures.steps.catalogue import clinical_steps
-    from procedures.strategies.catalogue import find_strategy
 
     return order_of(
         clinical_steps(
-            measure_targets=case.measure_targets, intraoperative=case.intraoperative, roles=case.roles
+            measure_targets=case.measure_targets,
+            intraoperative=case.intraoperative,
+            roles=case.roles,
+            on_skin=registers_on_skin(plan),
         ),
         [] if plan is None else [trajectory.id for trajectory in plan.trajectories],
-        localizes_per_trajectory=find_strategy(case.strategy).localizes_per_trajectory,
+        localizes_per_trajectory=strategy_of(case, plan).localizes_per_trajectory,
     )
 
 
@@ -114,6 +143,7 @@ def prepare_case(
         locked = held.enter_context(lock_plan(file))
         plan = parse_plan_bytes(locked.content, file.name)
         require_spheres(plan)
+        _require_one_change(case, plan)
     except RonnaError as problem:
         if resumption is None or resumption.interrupted.untouched:
             raise

@@ -29,6 +29,7 @@ PATIENT_SCENES = ("default", "mini")  # of the scenes that ronna-sim knows, thos
 LARGEST_SEED = 65535  # more cases than any study runs, and short enough to be read aloud
 
 FREE = "free"  # screws of their own
+SURFACE = "surface"  # no spheres, the skin is scanned
 POLARIS = "polaris"  # the tracker itself, not a server in front of it
 DEFAULT_ARM = ArmChoice.KR6.value
 
@@ -61,7 +62,13 @@ class SceneChoice:
                 if close_matches
                 else "ronna-sim scene prints one to start from.",
             )
-        if self.fiducials != FREE and self.markers not in (None, len(SPHERE_CENTRES_MM)):
+        if self.fiducials == SURFACE and self.markers is not None:
+            raise UsageMistake(
+                f"--markers cannot be {self.markers} with the surface as fiducial",
+                expected="a head without spheres",
+                action="Omit --markers with --fiducials surface.",
+            )
+        if self.fiducials not in (FREE, SURFACE) and self.markers not in (None, len(SPHERE_CENTRES_MM)):
             raise UsageMistake(
                 f"--markers cannot be {self.markers} with the x-shaped frame",
                 expected=f"its {len(SPHERE_CENTRES_MM)} spheres",

@@ -10,10 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from procedures.engine.case import StepKey
+from procedures.engine.case import StepKey, results_of, stand_ins
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RECOVERY_REFUSED
-from procedures.journal.results import parse_record
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -67,7 +66,7 @@ def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
     """Set the bodies around an assistant on no axis: the head as first found, or as last found of old."""
     workcell, case = engine.setting.workcell, engine.case
     standing = case.find(Correspondence, None)
-    former = [record for record in case.records if record.kind == Correspondence.kind]
+    former = results_of(Correspondence, case.records)
     if standing is None and not former:
         if assistant.place.is_out:
             raise RECOVERY_REFUSED(
@@ -75,8 +74,8 @@ def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
                 action="Jog it home with its controller's pendant, then resume again.",
             )
         return
-    found = parse_record(former[-1], Correspondence) if standing is None else standing.result
-    over = next(key for key in engine.order.sequence if key.name == Relocalization.kind)
+    found = (former[-1] if standing is None else standing).result
+    over = next(key for key in engine.order.sequence if key.name in stand_ins(Relocalization))
     head = workcell.master.flange_from(MountedTool.STEREO_HEAD)
     scene = planning_scene_of(engine.context(over))
     assistant.surround(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
@@ -87,7 +86,7 @@ def _surround_master(engine: Engine) -> None:
     if engine.setting.clinical is None:
         _surround_calibration(engine)
     elif master.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:
-        over = next(key for key in engine.order.sequence if key.name == Relocalization.kind)
+        over = next(key for key in engine.order.sequence if key.name in stand_ins(Relocalization))
         surround_stereo_head(engine.context(over), master.joints_rad())  # where the way out begins
     elif (guide := _find_guide_registration(engine)) is not None:
         surround_guide(engine.context(guide.key), guide.robot_from_ct, master.joints_rad())
@@ -189,10 +188,9 @@ def _find_guide_registration(engine: Engine) -> _GuideRegistration | None:
         if registered is not None and registered.record.identifier not in case.finished_before_move:
             pose = registered.result.robot_from_ct_at(key.trajectory)
             return _GuideRegistration(key, pose, is_valid=True)
-    made = [record for record in case.records if record.kind == RegisteredRobot.kind]
-    for record in reversed(made):
+    for former in reversed(results_of(RegisteredRobot, case.records)):
         for key in keys:
-            if record.trajectory in (None, key.trajectory):
-                former = parse_record(record, RegisteredRobot)
-                return _GuideRegistration(key, former.robot_from_ct_at(key.trajectory), is_valid=False)
+            if former.record.trajectory in (None, key.trajectory):
+                pose = former.result.robot_from_ct_at(key.trajectory)
+                return _GuideRegistration(key, pose, is_valid=False)
     return None

@@ -35,6 +35,13 @@ from procedures.steps.clinical import (
     tool_check,
 )
 from procedures.steps.clinical.at_target import STAGE_ANSWERS
+from procedures.steps.clinical.surface import (
+    skin_in_ct,
+    surface_paths,
+    surface_registration,
+    surface_scan,
+    surface_start,
+)
 from procedures.steps.clinical.two_arms import base_to_base
 from procedures.steps.clinical.work_progress import STAGES
 from ronna_hw.roles import ASSISTANT, ONE_ARM
@@ -82,18 +89,29 @@ MEASURING_TARGETS: Mapping[StepSpec[StepResult], Steps] = {
 SCANNING: Mapping[StepSpec[StepResult], Steps] = {
     head_clamp.STEP: (head_clamp.STEP, intraoperative_scan.STEP)
 }
+ON_SKIN: Mapping[StepSpec[StepResult], Steps] = {
+    fiducial_localization.STEP: (skin_in_ct.STEP,),
+    correspondence.STEP: (surface_start.STEP,),
+    path_check.STEP: (surface_paths.STEP,),
+    relocalization.STEP: (surface_scan.STEP,),
+    registration.STEP: (surface_registration.STEP,),
+}
 
 
 def clinical_steps(
-    *, measure_targets: bool = False, intraoperative: bool = False, roles: Sequence[str] = ONE_ARM
+    *,
+    measure_targets: bool = False,
+    intraoperative: bool = False,
+    roles: Sequence[str] = ONE_ARM,
+    on_skin: bool = False,
 ) -> Steps:
     """Return the steps of a case with arms in these roles.
 
-    On request it measures the targets, or scans the clamped head. Raises ValueError where two changes
-    replace the same step.
+    On request it measures the targets, scans the clamped head, or registers on the skin without markers.
+    Raises ValueError where two changes replace the same step.
     """
     changes = [BY_ROLE.get(role, {}) for role in roles]
-    changes += [MEASURING_TARGETS] * measure_targets + [SCANNING] * intraoperative
+    changes += [MEASURING_TARGETS] * measure_targets + [SCANNING] * intraoperative + [ON_SKIN] * on_skin
     replaced = {step: steps for change in changes for step, steps in change.items()}
     if len(replaced) < sum(map(len, changes)):
         raise ValueError(f"two of {', '.join(roles)} and the measurement of targets replace the same step")

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from procedures.engine.case import Case, StepKey
+from procedures.engine.case import Case, StepKey, stand_ins
 from procedures.engine.setting import CaseSetting
 from procedures.planning.motions import BACK, LINE, MOVE
 from procedures.planning.pose_name import HOME, PoseKind, PoseName
@@ -59,7 +59,7 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
     if key.name == ReachedTarget.kind and len(workcell.arms) > 1:
         return _describe_assistance(key.trajectory)
     paths = stored.result
-    if key.name == Relocalization.kind:
+    if key.name in stand_ins(Relocalization):
         motions = motions_over_spheres(paths.motions, key.trajectory)
     else:
         motions = [one for one in paths.motions if _belongs_to_step(one, key)]
@@ -95,7 +95,7 @@ def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
 
 def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:
     """Return the index of the sphere below the stereo head, or None unless a localization was interrupted."""
-    if key.name != Relocalization.kind or workcell.master.tool is not MountedTool.STEREO_HEAD:
+    if key.name not in stand_ins(Relocalization) or workcell.master.tool is not MountedTool.STEREO_HEAD:
         return None
     here_mm = workcell.master.tool_pose().translation_mm
     away_mm = {

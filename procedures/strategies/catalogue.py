@@ -17,6 +17,7 @@ from procedures.strategies.joint_displacement import (
     ImprovedDisplacementMinimization,
     JointDisplacementMinimization,
 )
+from procedures.strategies.skin_looks import SkinLooks
 from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.frames import Transform
@@ -107,8 +108,8 @@ STRATEGIES: tuple[Strategy, ...] = (
 
 
 def find_strategy(name: str) -> Strategy:
-    """Return the strategy with this name. Raises STR-002 for an unknown one."""
-    for strategy in STRATEGIES:
+    """Return the strategy with this name, also that of a scan of the skin. Raises STR-002 for an unknown one."""
+    for strategy in (*STRATEGIES, SkinLooks()):
         if strategy.name == name:
             return strategy
     close_matches = find_near(name, [one.name for one in STRATEGIES])

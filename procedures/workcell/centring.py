@@ -75,7 +75,7 @@ class Centring:
         servo does not converge. The arm then rests at the pose of its last look, see `back_off`.
         """
         try:
-            self._go_over(expected, near)
+            self.go_over(expected, near)
             return self._centre_on(fiducial, expected, is_close=is_close)
         finally:
             self.workcell.sensors.expose(1.0)
@@ -89,7 +89,8 @@ class Centring:
         """Whether the last motion ended over a sphere, or where one was expected."""
         return self.workcell.master.supervised.ended in (MotionKind.SETTLE, MotionKind.STEP)
 
-    def _go_over(self, expected: Transform, near: JointVector) -> None:
+    def go_over(self, expected: Transform, near: JointVector) -> None:
+        """Move to a pose: straight there if that is clear, else back off and approach along the tool axis."""
         master, over_sphere = self.workcell.master, self.is_over_sphere
         began_rad = master.joints_rad()
         onto_rad = master.joints_at(expected, near, self.arriving)

@@ -84,6 +84,21 @@ def look(
     `enhance_contrast` equalizes both images first, as the thesis does.
     Raises STE-012 if none is usable: a search elsewhere would not help.
     """
+    reading = grab_usable(stereo, clock)
+    images = (area_image(reading.left), area_image(reading.right))
+    try:
+        seen = locate_sphere(*images, calibration, enhance_contrast=enhance_contrast)
+    except NOT_SEEN as error:
+        return Look(reading, None, None, None, error)
+    problem = None
+    if seen.point is None:
+        rims = f"{seen.left.rim_fraction:.0%} left, {seen.right.rim_fraction:.0%} right"
+        problem = errors.NotTrusted(seen.doubt, got=f"rim in view {rims}")
+    return Look(reading, seen.left, seen.right, seen.point, problem)
+
+
+def grab_usable(stereo: StereoPair, clock: Clock) -> StereoReading:
+    """Take a fresh and complete pair, retrying twice. Raises STE-012 if none is usable."""
     for _ in range(1 + FURTHER_TRIES):
         reading = _grab(stereo, clock)
         if reading.validity is Validity.OK:
@@ -94,16 +109,7 @@ def look(
             limit=f"{1 + FURTHER_TRIES} pairs in a row",
             got=f"the pair is {reading.validity}: {_describe_sides(reading)}",
         )
-    images = (_as_area_image(reading.left), _as_area_image(reading.right))
-    try:
-        seen = locate_sphere(*images, calibration, enhance_contrast=enhance_contrast)
-    except NOT_SEEN as error:
-        return Look(reading, None, None, None, error)
-    problem = None
-    if seen.point is None:
-        rims = f"{seen.left.rim_fraction:.0%} left, {seen.right.rim_fraction:.0%} right"
-        problem = errors.NotTrusted(seen.doubt, got=f"rim in view {rims}")
-    return Look(reading, seen.left, seen.right, seen.point, problem)
+    return reading
 
 
 def _grab(stereo: StereoPair, clock: Clock) -> StereoReading:
@@ -121,7 +127,10 @@ def _describe_sides(reading: StereoReading) -> str:
     return ", ".join(f"{name} {image.validity if image else 'no image'}" for name, image in sides)
 
 
-def _as_area_image(image: CameraImage) -> AreaImage:
+def area_image(image: CameraImage | None) -> AreaImage:
+    """Return a camera's image of an area for measuring. Raises STE-012 without one."""
+    if image is None:
+        raise errors.PairNotUsable("a camera of the pair gave no image")
     return AreaImage(image.pixels, image.area.offset_x, image.area.offset_y)
 
 

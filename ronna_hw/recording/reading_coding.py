@@ -41,6 +41,7 @@ ANSWERS: dict[str, Any] = {
     "link_statistics": LinkStatistics,
     **dict.fromkeys(("configure", "activate", "deactivate", "resume"), None),
     **dict.fromkeys(("surround", "set_areas", "set_exposure", "scale_exposure", "confirm_start"), None),
+    "set_projector": None,
 }
 # Calls of earlier tapes, by their present names.
 RENAMED = {"move_joints": "move", "move_linear": "move"}

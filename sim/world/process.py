@@ -190,7 +190,8 @@ def load_scene(
     if drill and drawn.assistant is not None:
         drawn = drawn.model_copy(update={"assistant": drawn.assistant.model_copy(update={"drills": True})})
     error = drawn.calibration_error
-    if (calibrated or dual) and error.arm is None:
+    # Looks at the skin from many sides need a calibrated arm, as two arms do.
+    if (calibrated or dual or drawn.projector is not None) and error.arm is None:
         error = error.model_copy(update={"arm": ArmResidual()})
     if first_day:
         error = error.model_copy(update={"first_day": True})

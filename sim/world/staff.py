@@ -46,6 +46,7 @@ from sim.world.faults import FaultBoard, begin_now
 from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP, tool_numbers
 from sim.world.noise import noise
 from sim.world.rigid import Matrix, apply, as_point, inverse, matrix_of, rotation_from_vector
+from sim.world.scene.skin import find_furthest
 from sim.world.truth import (
     TrueGuide,
     append_sample,
@@ -224,7 +225,7 @@ class Staff:
     def _touch(self, direction: Sequence[float]) -> Readings:
         """Return where a pointer touches the given side of the patient's head, in the robot frame."""
         head, seed = self._world.scene.head, self._world.scene.seed
-        skin_ct = np.array(head.centre_ct_mm) + np.array(head.semi_axes_mm) * direction
+        skin_ct = find_furthest(head, np.array(direction, dtype=float))
         room = ShiftedRoom(self._world).now()
         place = apply(rigid_move(room.head_rad, room.head_mm) @ matrix_of(head.robot_from_ct), skin_ct)
         place += noise(seed, TOUCH, self._done[f"{TOUCH} "]).normal(0.0, POINTER_MM, 3)

@@ -45,10 +45,11 @@ ConfigOption = Annotated[Path | None, Option(metavar="FILE", help="Theatre file 
 
 
 class FiducialChoice(StrEnum):
-    """Type of markers on the patient."""
+    """Type of markers on the patient, or the surface of the head instead."""
 
     FREE = "free"
     XFRAME = "xframe"
+    SURFACE = "surface"
 
 
 class TrackerChoice(StrEnum):
@@ -195,7 +196,11 @@ class CaseOptions(TheatreOptions):
         int | None, Option(min=1, max=10, help="Number of trajectories (default: the scene's).")
     ] = None
     fiducials: Annotated[
-        FiducialChoice, Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
+        FiducialChoice,
+        Option(
+            help="Fixation of the spheres: screws, or the x-shaped frame. With surface there are none, and "
+            "the skin is scanned."
+        ),
     ] = FiducialChoice.FREE
     strategy: Annotated[str, Option(metavar="|".join(STRATEGY_NAMES), help=STRATEGY_HELP)] = DEFAULT_STRATEGY
     localizer: Annotated[
@@ -307,6 +312,14 @@ class CaseOptions(TheatreOptions):
                 expected="a case with two arms",
                 got=self.assistant_arm if "--assistant-arm" in given else None,
                 action=f"Add --dual, or omit {given}.",
+            )
+        if self.fiducials is FiducialChoice.SURFACE and (
+            given := self._list_changed_options(("dual", "intraoperative"))
+        ):
+            raise UsageMistake(
+                f"{given} and --fiducials surface cannot be combined",
+                expected="one arm, and the CT that the skin is registered to",
+                action=f"Omit {given}.",
             )
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")

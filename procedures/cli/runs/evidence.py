@@ -21,6 +21,7 @@ from procedures.engine.setting import ClinicalInput
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.journal.results import parse_record
 from procedures.planning.plan_file import read_plan
+from procedures.planning.plan_model import FiducialKind
 from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.set_up import CheckedSetUp
@@ -127,14 +128,15 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     if opening.series is None:
         return _calibration_input(opening.calibration, resolve_path(opening.theatre_file))
     plan = resolve_path(opening.plan)
-    strategy = find_strategy(opening.strategy or "")
+    planned, strategy = read_plan(plan), find_strategy(opening.strategy or "")
     order = order_of(
         clinical_steps(
             measure_targets=opening.measure_targets,
             intraoperative=opening.intraoperative,
             roles=opening.roles,
+            on_skin=planned.fiducials is FiducialKind.SURFACE,
         ),
-        [trajectory.id for trajectory in read_plan(plan).trajectories],
+        [trajectory.id for trajectory in planned.trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,
     )
     clinical = ClinicalInput(

@@ -35,6 +35,8 @@ KNOWN_UNOPENED = (
     "markers_mm",
     "senses_force",
     "force_error_N",
+    "has_projector",
+    "projector_on",
 )  # as configured
 KNOWN_MEMBERS = {*ANSWERS, *RECORDED_PROPERTIES, *PROPERTIES, *KNOWN_UNOPENED}
 READINGS = ("read_frame", "grab_pair", "read_state", "move")

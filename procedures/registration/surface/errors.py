@@ -1,4 +1,4 @@
-"""Errors in the registration of surfaces, SRF-001 to SRF-021."""
+"""Errors in the registration of surfaces, SRF-001 to SRF-034."""
 
 from __future__ import annotations
 
@@ -105,4 +105,39 @@ EMPTY_SCAN = ErrorCode(
     DataError,
     "A scan has no points.",
     "Scan at least one line; check the projector and the light if none was found.",
+)
+
+NO_PROJECTOR = ErrorCode(
+    "SRF-030",
+    RefusedError,
+    "The plan has the surface of the head registered, and the stereo head has no line projector.",
+    "Name the projector under [stereo.projector] of the theatre file, or register by markers.",
+)
+
+NO_PATIENT_FRAME = ErrorCode(
+    "SRF-031",
+    RefusedError,
+    "Without markers on the head the tracker sees it move by the frame on its clamp alone; there is none.",
+    "Mount the patient's frame on the clamp and name it as patient_frame in the theatre file.",
+)
+
+NOTHING_LIT = ErrorCode(
+    "SRF-032",
+    RefusedError,
+    "No look shows the line of the projector on the skin.",
+    "Check that the projector lights and its window is clean, take drapes off the face, and scan again.",
+)
+
+NO_STATIONS = ErrorCode(
+    "SRF-033",
+    RefusedError,
+    "The arm cannot look at enough of the skin.",
+    "Turn the head or move the cart so that the arm reaches face and temples, or register by markers.",
+)
+
+ARM_NOT_CALIBRATED = ErrorCode(
+    "SRF-034",
+    RefusedError,
+    "The arm has no calibration record: seen from many sides, the skin would look like another head.",
+    "Calibrate the arm and name its record in the theatre file, or register by markers.",
 )

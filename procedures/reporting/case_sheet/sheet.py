@@ -43,7 +43,11 @@ from ronna_hw.tool_record import GuideBore, ToolRecord
 TEMPLATE = "sheet.html.j2"
 ARM = "arm"  # role of the master among the devices
 MOST_PICTURES = 4  # that leave room for plan and spheres on the first page
-FIDUCIALS = {FiducialKind.FREE: "on screws", FiducialKind.XFRAME: "on the x-shaped frame"}
+FIDUCIALS = {
+    FiducialKind.FREE: "on screws",
+    FiducialKind.XFRAME: "on the x-shaped frame",
+    FiducialKind.SURFACE: "none, the skin is scanned",
+}
 
 
 @dataclass(frozen=True)

@@ -199,11 +199,11 @@ def displacement_against_head(
 
     Raises PRO-041, or PRO-020 if it was the head that moved.
     """
-    head = measure_shift(first.spheres_mm, second.spheres_mm)
+    head = measure_shift(first.head_mm, second.head_mm)
     if head is None or first.frame_mm is None or second.frame_mm is None:
         raise GateFailed(
             "the tracker does not see the frame and the head both before and after the cart was leaned on",
-            expected="the frame on the arm and three spheres",
+            expected="the frame on the arm, and three spheres or the frame on the clamp",
             action="Clear the line of sight, then repeat the step.",
         )
     head_mm = robot_from_tracker.rotation_matrix @ head.mean_mm

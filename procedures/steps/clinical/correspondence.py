@@ -19,6 +19,7 @@ from procedures.operator.question import Task
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import LEAST_APART_MM, RoomPrior, choose_landmark, describe_side
+from procedures.registration.surface.starts import Start
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
 from procedures.steps.clinical.cart_lock import LockedCart
@@ -74,6 +75,28 @@ class Correspondence(StepResult, kind="correspondence"):
     refused_share: float | None = Field(
         default=None, description="Share of correct pairings that its validation refuses."
     )
+
+
+class TouchedPoint(Values):
+    """Landmark of the head, in the CT and as it was touched."""
+
+    landmark: str = Field(description="Which one.")
+    in_ct_mm: Numbers3 = Field(description="Its place in the CT, LPS.")
+    touched_mm: Numbers3 = Field(description="As read, robot frame.")
+    off_mm: float = Field(description="Distance from where the fit has it.")
+
+
+class SurfaceStart(Correspondence, kind="surface_start"):
+    """Coarse pose of a head without markers, by its landmarks."""
+
+    landmarks: tuple[TouchedPoint, ...] = Field(description="As touched, in this order.")
+    turn_sd_rad: float = Field(description="Standard deviation of the pose's rotation.")
+    place_sd_mm: float = Field(description="Standard deviation of its place.")
+
+    @property
+    def start(self) -> Start:
+        """The pose with its error."""
+        return Start(self.robot_from_ct.transform, self.turn_sd_rad, self.place_sd_mm)
 
 
 def run(context: StepContext) -> Outcome[Correspondence]:

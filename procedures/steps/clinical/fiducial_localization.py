@@ -22,14 +22,20 @@ from procedures.imaging.localizers import LOCALIZERS, Localizer
 from procedures.imaging.markers import Candidate, Marker, ScanDeformation
 from procedures.imaging.pictures import draw_candidates, draw_markers
 from procedures.imaging.scan_deformation import require_undeformed
+from procedures.imaging.volume import Volume
 from procedures.intraoperative.bone_pose import PoseEstimate
 from procedures.journal.results import StepResult, Values
+from procedures.planning.faced_head import face_bodies
+from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
+from procedures.planning.plan_model import FiducialKind
+from procedures.planning.scene import build_frame_bodies
 from procedures.planning.target_error import scan_errors
 from procedures.registration.error_sources import SCAN_PLACE
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
+from ronna_hw.arm.clearance.bodies import Obstacle
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 
@@ -79,6 +85,14 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     def numbered(self) -> dict[int, Marker]:
         """The spheres that may be measured, by their number for people: counted from 1, as in the CT."""
         return {index + 1: self.markers[index] for index in self.shown}
+
+    def head_in(self, volume: Volume) -> HeadEllipsoid:
+        """Return the head in the CT as an obstacle. Raises PLAN-014."""
+        return fit_head(volume)
+
+    def bodies_on_head(self, fiducials: FiducialKind) -> tuple[Obstacle, ...]:
+        """Return the obstacles on the head besides the spheres, CT frame. Raises REG-012."""
+        return build_frame_bodies(fiducials, self.centres_mm)
 
     def count_expected(self, implanted: int) -> int:
         """Return the number of spheres to match in the room, of as many as the plan has `implanted`."""
@@ -220,6 +234,29 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan", vers
         sizes = np.linalg.cholesky(pose.covariance)
         there_mm = rotation @ pose_jacobian(np.array(target_mm), pose.middle_mm) @ sizes
         return (SharedErrors(SCAN_PLACE, np.zeros((spheres, *there_mm.shape)), there_mm),)
+
+
+class ExcludedSkin(Values):
+    """Part of the boundary in the CT that is no skin to register on."""
+
+    reason: str = Field(description="Why.")
+    share: float = Field(description="Of the whole boundary.")
+    middle_mm: Numbers3 = Field(description="Middle of these places, LPS.")
+
+
+class SkinInCt(LocalizedFiducials, kind="skin_in_ct"):
+    """The skin in the CT of a head without markers."""
+
+    samples: int = Field(description="Places on the skin that the scan may be registered to.")
+    excluded: tuple[ExcludedSkin, ...] = Field(description="Parts that it may not.")
+    cranium: HeadEllipsoid = Field(description="Ellipsoid around the cranium.")
+    face: HeadEllipsoid = Field(description="Ellipsoid around what is below it.")
+
+    def head_in(self, volume: Volume) -> HeadEllipsoid:
+        return self.cranium
+
+    def bodies_on_head(self, fiducials: FiducialKind) -> tuple[Obstacle, ...]:
+        return face_bodies(self.face)
 
 
 def estimate_of(result: IntraoperativeSpheres) -> PoseEstimate:

@@ -69,6 +69,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     """Measure all stray spheres in the robot frame, via the reference frame M."""
     for before in context.reads:
         context.result(before)
+    least = min(LEAST_POINTS, context.result(ClampedHead).implanted) if ClampedHead in context.reads else 1
     workcell = context.workcell
     if workcell.master.tool is MountedTool.GUIDE:  # earlier localizations are void
         exchange_tool(context, MountedTool.STEREO_HEAD)
@@ -76,7 +77,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     frames, lost, patient = _read_at_rest(context, on_arm, name)
     tracker_from_marker = average_pose(frames, on_arm)
     strays = average_strays(frames)
-    _check_count(workcell, len(strays.groups), least=LEAST_POINTS if ClampedHead in context.reads else 1)
+    _check_count(workcell, len(strays.groups), least)
     spread_mm = _require_spread_mm(strays)
     joints = workcell.master.joints_rad()
     robot_from_tracker = robot_from_marker(workcell, joints) @ tracker_from_marker.inverse()
@@ -143,7 +144,7 @@ def _check_count(workcell: Workcell, seen: int, least: int) -> None:
 
 
 def _require_spread_mm(strays: StrayAverage) -> float:
-    spread_mm = max(float(group.spread_mm) for group in strays.groups)
+    spread_mm = max((float(group.spread_mm) for group in strays.groups), default=0.0)
     if spread_mm > SPREAD_LIMIT_MM:
         raise GateFailed(
             "a sphere moved while the tracker was measuring",

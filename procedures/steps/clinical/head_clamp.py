@@ -12,6 +12,7 @@ from procedures.journal.results import StepResult
 from procedures.operator.question import Task, Topic
 from procedures.planning.plan_model import PatientPosition
 from procedures.registration.movement import LEAST_POINTS
+from procedures.registration.surface.errors import NO_PATIENT_FRAME
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import needs_arm_home
@@ -32,24 +33,31 @@ class ClampedHead(StepResult, kind="head_clamp"):
 
 
 def run(context: StepContext) -> Outcome[ClampedHead]:
-    """Ask to clamp the head, then measure it. Raises PRO-002, or PRO-007 if head or frame is not visible."""
+    """Ask to clamp the head, then measure it. Raises PRO-002, or PRO-007 if head or frame is not visible.
+
+    A head without markers is watched by the frame on the clamp alone: SRF-031 without one.
+    """
     context.result(CheckedSetUp)
     checked = context.result(CheckedPlan)
+    if not checked.implanted and context.workcell.patient_frame is None:
+        raise NO_PATIENT_FRAME("this theatre has no frame on the head clamp")
     context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
     table_orientation = checked.plan.table_orientation
     context.perform_task(
         Task(
             HEAD_CLAMP,
-            f"clamp the head ({table_orientation}), lock the clamp to the table, attach the spheres",
+            f"clamp the head ({table_orientation}), lock the clamp to the table"
+            + (", attach the spheres" if checked.implanted else ""),
         )
     )
     subject = "Is the head clamped, and the clamp locked to the table?"
-    value = f"patient position {table_orientation}; {checked.implanted} spheres are on the screws"
+    on_screws = f"{checked.implanted} spheres are on the screws" if checked.implanted else "no spheres"
+    value = f"patient position {table_orientation}; {on_screws}"
     context.confirm(Topic.HEAD_CLAMPED, subject, value)
     frames, _ = read_frames_at_rest(context.workcell, count=FRAMES)
     require_in_view(context.workcell, frames)
     seen = len(average_strays(frames).groups)
-    if seen < LEAST_POINTS:
+    if seen < min(LEAST_POINTS, checked.implanted):
         raise GateFailed(
             "the tracker sees too few spheres on the head",
             limit=f"at least {LEAST_POINTS}",

@@ -47,9 +47,14 @@ class LocalizedRoom:
         return Places(self.spheres_mm, None if self.on_clamp is None else self.on_clamp.as_matrix())
 
     def watch(self, localization: str, arm: TrackedArm, flange_pose: FlangePose) -> RoomWatch:
-        """Begin the watch, with the localization as its first look."""
-        to_robot = self.robot_from_tracker
-        centre_mm = np.asarray(to_robot.apply(self.spheres_mm)).mean(axis=0)
+        """Begin the watch, with the localization as its first look.
+
+        Motions are told about the middle of the spheres; of a head without any, about the frame on its clamp.
+        """
+        to_robot, middle_mm = self.robot_from_tracker, self.spheres_mm
+        if not len(middle_mm) and self.on_clamp is not None:
+            middle_mm = self.on_clamp.translation_mm[None]
+        centre_mm = np.asarray(to_robot.apply(middle_mm)).mean(axis=0)
         tracker = to_robot.as_matrix()
         model = RoomModel({Tracked.ARM: arm}, tracker, centre_mm, len(self.spheres_mm))
         flange = flange_pose(self.joints_rad, None).as_matrix()

@@ -211,31 +211,49 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     """Choose joints for every remaining localization and target. Raises PLAN-007 naming all failing poses."""
     correspondence = context.result(Correspondence)
     localization = context.result(LocalizedFiducials)
-    plan = context.result(CheckedPlan)
     matched = [pair[0] for pair in correspondence.pairs]
+    context.progress(0.0, "checking every path")
+    setting, sight = arm_setting_of(context), StereoSight.of(context.workcell.calibrations.stereo_head)
+    return check_all_paths(context, setting, sight, localization.centres_mm[matched], matched)
+
+
+def arm_setting_of(context: StepContext) -> ArmSetting:
+    """Return arm, tools, start and surroundings of the case, with the head by the coarse registration."""
     workcell, settings = context.workcell, context.setting.settings
     # The servo brings the head onto a sphere, so the arm deviates from its path by the error of the mount.
     sizes = ErrorSizes.stated(settings, workcell.calibrations.arm)
-    scene = planning_scene_of(context).with_reserve(sizes.tool_mm)
-    setting = ArmSetting(
+    return ArmSetting(
         kinematics=workcell.master.arm.kinematics,
-        robot_from_ct=correspondence.robot_from_ct.transform,
+        robot_from_ct=context.result(Correspondence).robot_from_ct.transform,
         flange_from_tool=workcell.master.flange_from(MountedTool.GUIDE),
         strategy=context.clinical.strategy,
         flange_from_stereo=workcell.master.flange_from(MountedTool.STEREO_HEAD),
         start_rad=context.result(CheckedSetUp).homes_rad[MASTER],
         limits=workcell.master.arm.limits(),
         approach_mm=settings.approach_mm,
-        scene=scene,
+        scene=planning_scene_of(context).with_reserve(sizes.tool_mm),
         sizes=sizes,
         gauge_rad=radians6(*workcell.tools.guide.gauge.joints_deg),
         sights=room_watch(context).sights if len(workcell.arms) > 1 else (),  # to watch an insertion
     )
-    context.progress(0.0, "checking every path")
-    search = PathSearch(
-        context, setting, localization.centres_mm[matched], StereoSight.of(workcell.calibrations.stereo_head)
-    )
-    held = place_guides(plan.plan, workcell.tools.guide.bore)
+
+
+def check_all_paths(
+    context: StepContext,
+    setting: ArmSetting,
+    sight: StereoSight,
+    centres_mm: Array,
+    numbers: Sequence[int],
+) -> Outcome[CheckedPaths]:
+    """Search paths over the spheres (n, 3), CT mm, and to the targets. Raises PLAN-007.
+
+    `numbers` (n,) are those of the localizations in the record. Unreachable trajectories are put to the
+    operator.
+    """
+    plan, scene = context.result(CheckedPlan), setting.scene
+    assert scene is not None  # a case always checks clearance
+    search = PathSearch(context, setting, centres_mm, sight)
+    held = place_guides(plan.plan, context.workcell.tools.guide.bore)
     turned = search.find_paths([one for one in held if one.identifier in context.remaining])
     check = turned.check
     if turned.remark:
@@ -254,7 +272,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
             joint_ranges_rad=check.joint_ranges_rad,
             largest_move_rad=check.largest_turn_rad,
             motions=tuple(MotionPreview.of(motion) for motion in motions),
-            localizations=_build_localizations(check, matched, setting),
+            localizations=_build_localizations(check, numbers, setting),
             targets=_build_targets(check, setting),
             left_out=search.left_out,
         ),
@@ -280,7 +298,7 @@ def _describe_turns(turned: free_angle.TurnedPaths) -> str:
 
 
 def _build_localizations(
-    check: PathCheck, matched: list[int], setting: ArmSetting
+    check: PathCheck, numbers: Sequence[int], setting: ArmSetting
 ) -> dict[str, tuple[LocalizationPose, ...]]:
     poses: dict[str, tuple[LocalizationPose, ...]] = {}
     for reached in check.reached:
@@ -292,7 +310,7 @@ def _build_localizations(
                 else None
             )
             pose = LocalizationPose(
-                fiducial=matched[visit.name.fiducial],
+                fiducial=numbers[visit.name.fiducial],
                 tool_pose=FramedPose.of(visit.pose),
                 approach_rad=reached.approach_rad,
                 joints_rad=reached.at_rad,

@@ -17,7 +17,7 @@ from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.question import Identity, Picture, Question, ReadBack, Topic
 from procedures.planning.errors import WrongMarkerCount
-from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
+from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_check import PlanCheck, check_plan
 from procedures.planning.plan_file import describe_seal, parse_plan_bytes
 from procedures.planning.plan_lock import lock_plan
@@ -69,7 +69,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     )
     check, spheres = _accept_count(context, check, localization)
     check.require()
-    head = fit_head(volume)
+    head = localization.head_in(volume)
     pictures = _keep_cuts(context, volume, plan, head)
     _confirm_patient(context, check, head, pictures)
     count = len(plan.trajectories)

@@ -83,14 +83,14 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     require_explained_corrections(corrections)
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
-    left_out = _exclude_beyond_margin(context, plan, predictions)
+    left_out = exclude_beyond_margin(context, plan, predictions)
     methods = context.clinical.methods.describe()
     learned = pairs.learned(corrections)
     two_way = _compare_both_ways(context, fit, pairs)
     for predicted in predictions:
         if predicted.target in left_out:
             continue
-        against = _against_margins(plan, predictions, predicted)
+        against = against_margins(plan, predictions, predicted)
         if learned is not None:  # else one look at each sphere, whose residual shows a move at once
             _confirm_unmoved_spheres(context, predicted, against[0].margin_mm)
         question = Question(
@@ -107,7 +107,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             trajectory=predicted.target,
             evidence=(error_budget.budget_table(predicted), error_budget.two_way_table(two_way)),
             predicted=against,
-            pictures=_picture_of(context, predicted.target),
+            pictures=picture_of(context, predicted.target),
         )
         context.require_yes(question)
     worst = max(predictions, key=lambda one: one.rms_mm)
@@ -218,7 +218,7 @@ def _select_agreeing_pairs(context: StepContext, pairs: Pairs) -> tuple[Pairs, t
     return rest, (LeftOutSphere(fiducial=fiducial, reason=refusal.summary),)
 
 
-def _exclude_beyond_margin(
+def exclude_beyond_margin(
     context: StepContext, plan: CheckedPlan, predictions: tuple[Prediction, ...]
 ) -> dict[str, str]:
     """Return trajectories to leave out, with reasons. Raises PRO-007 unless agreed and others remain."""
@@ -241,8 +241,8 @@ def _exclude_beyond_margin(
         )
         shown = replace(
             question,
-            predicted=_against_margins(plan, predictions, predicted),
-            pictures=_picture_of(context, trajectory.id),
+            predicted=against_margins(plan, predictions, predicted),
+            pictures=picture_of(context, trajectory.id),
         )
         if context.choose(shown) != LEAVE_OUT:
             raise refusal
@@ -250,7 +250,7 @@ def _exclude_beyond_margin(
     return left_out
 
 
-def _against_margins(
+def against_margins(
     plan: CheckedPlan, predictions: tuple[Prediction, ...], first: Prediction
 ) -> tuple[PredictedError, ...]:
     """Set the predictions of a registration against the plan's margins, the one that is decided on first."""
@@ -260,7 +260,7 @@ def _against_margins(
     )
 
 
-def _picture_of(context: StepContext, trajectory: str) -> tuple[Picture, ...]:
+def picture_of(context: StepContext, trajectory: str) -> tuple[Picture, ...]:
     """Return the cuts of a trajectory, if the plan's check has kept them."""
     found = context.find_picture(
         plan_picture(trajectory), [plan_picture(one) for one in context.trajectories]

@@ -27,6 +27,8 @@ from procedures.guards.stability import SeenUnchanged, Subject
 from procedures.journal.results import FramedPose, Matrix3, StepResult, Values
 from procedures.operator.question import PredictedError
 from procedures.registration import TwoWayTable
+from procedures.registration.surface.checks import ChangedSkin
+from procedures.registration.surface.scan import SurfaceScan
 from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
@@ -40,6 +42,10 @@ NOT_PREDICTED = (
     "an instrument that is bent, or longer than its stop says; a patient who moved during the scan: 0.09 mm "
     "at the spheres for a motion by 0.3 mm"
 )
+
+
+Numbers6 = tuple[float, float, float, float, float, float]
+UPPER = np.triu_indices(3)  # of a covariance: xx, xy, xz, yy, yz, zz
 
 
 class LeftOutSphere(Values):
@@ -91,6 +97,69 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     def points_mm(self) -> Array:
         """Spheres (n, 3), robot frame, mm."""
         return np.asarray(self.points_robot_mm, dtype=float).reshape(-1, 3)
+
+
+class ScannedLine(Values):
+    """Points of one line of light on the skin, robot frame, by the nominal tool pose."""
+
+    look: NonNegativeInt = Field(description="Number of the look that it belongs to.")
+    joints_rad: JointVector = Field(description="Joints measured there.")
+    view_mm: Numbers3 = Field(description="Place of the left camera.")
+    points_mm: tuple[Numbers3, ...] = Field(description="Its points.")
+    covariances_mm2: tuple[Numbers6, ...] = Field(
+        description="Of their measurement alone: xx, xy, xz, yy, yz, zz."
+    )
+
+
+class ScannedSurface(Relocalization, kind="surface_scan"):
+    """The skin as the stereo head saw it, in the place of spheres."""
+
+    lines: tuple[ScannedLine, ...] = Field(description="Lines with points, in the order of the scan.")
+    planned_looks: int = Field(description="Looks of the path check.")
+    dark: dict[str, str] = Field(description="Looks without any line, by their number from 1, and why.")
+    covered: float = Field(description="Share of the skin above the jaw within 10 mm of a point.")
+    theatre_s: float = Field(description="Theatre time from the first look to the last.")
+
+    @property
+    def scan(self) -> SurfaceScan:
+        """The cloud, as a registration takes it."""
+        return SurfaceScan.join([_as_scan(number, line) for number, line in enumerate(self.lines)])
+
+    @property
+    def looks_taken(self) -> tuple[int, ...]:
+        """Numbers of the looks with points, ascending."""
+        return tuple(sorted({line.look for line in self.lines}))
+
+    @classmethod
+    def without_spheres(cls, **fields: object) -> Self:
+        """Build the result; what a relocalization says of each sphere is empty."""
+        empty = dict.fromkeys(
+            (
+                "fiducials",
+                "points_robot_mm",
+                "covariances_mm2",
+                "residuals_mm",
+                "ray_gaps_mm",
+                "radii_mm",
+                "looks",
+                "joints_rad",
+            ),
+            (),
+        )
+        return cls.model_validate({**empty, **fields})
+
+
+def _as_scan(number: int, line: ScannedLine) -> SurfaceScan:
+    count = len(line.points_mm)
+    covariance = np.empty((count, 3, 3))
+    covariance[:, UPPER[0], UPPER[1]] = covariance[:, UPPER[1], UPPER[0]] = line.covariances_mm2
+    return SurfaceScan(
+        np.array(line.points_mm),
+        covariance,
+        np.full(count, line.look),
+        np.full(count, number),
+        np.tile(line.view_mm, (count, 1)),
+    )
 
 
 class ErrorShare(Values):
@@ -203,6 +272,11 @@ class RegisteredRobot(StepResult, kind="registration"):
         return self.left_out
 
     @property
+    def can_follow(self) -> bool:
+        """Whether it can follow a small move of the head that the tracker measures by the spheres."""
+        return True
+
+    @property
     def trajectories(self) -> frozenset[str]:
         return frozenset(one.target for one in self.predictions)
 
@@ -237,6 +311,35 @@ class RegisteredRobot(StepResult, kind="registration"):
             if one.target == target:
                 return one
         raise KeyError(target)
+
+
+class SkinRegion(Values):
+    """Region of the skin that is not where the CT shows it, or may not be."""
+
+    parts: tuple[str, ...] = Field(description="Parts of the head.")
+    shift_mm: float = Field(description="By how much, outwards.")
+
+    @classmethod
+    def of(cls, changed: ChangedSkin) -> SkinRegion:
+        return cls(parts=changed.parts, shift_mm=changed.shift_mm)
+
+
+class RegisteredBySurface(RegisteredRobot, kind="surface_registration"):
+    """Pose of the CT in the robot frame by the skin, with the predicted error at its targets."""
+
+    points: int = Field(description="Points of the thinned scan.")
+    excluded: float = Field(description="Share of them that is no skin, or changed skin.")
+    coverage: float = Field(description="Share of the skin above the jaw near the points used.")
+    misfit_mm: float = Field(description="Standard deviation of the skin's misfit, as the scan shows it.")
+    misfit_length_mm: float = Field(description="Length over which the misfit is alike.")
+    side_proven: bool = Field(description="Whether the mirror image fits clearly worse.")
+    changed: tuple[SkinRegion, ...] = Field(default=(), description="Regions left out: they have moved.")
+    doubted: tuple[SkinRegion, ...] = Field(default=(), description="Regions that may have moved.")
+
+    @property
+    def can_follow(self) -> bool:
+        """A head without spheres is scanned again: the tracker sees its clamp, not the head in it."""
+        return False
 
 
 class LinkHealth(Values):

@@ -213,7 +213,8 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
         isinstance(moved, PatientMoved)
         and moved.moved_mm <= MOST_FOLLOWED_MM
         and context.workcell.master.tool is MountedTool.GUIDE
-        and context.stands(RegisteredRobot)
+        and (registered := context.latest(RegisteredRobot)) is not None
+        and registered.can_follow
     )
     if may_follow:
         context.void_each(RegisteredRobot, moved)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from procedures.engine.context import StepContext
-from procedures.planning.scene import PlanningScene, build_frame_bodies
+from procedures.planning.scene import PlanningScene
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -33,7 +33,7 @@ def planning_scene(
         around,
         plan.head,
         tuple(marker.centre_mm for marker in localized.markers),
-        build_frame_bodies(plan.plan.fiducials, localized.centres_mm),
+        localized.bodies_on_head(plan.plan.fiducials),
     )
 
 

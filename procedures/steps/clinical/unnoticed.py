@@ -130,7 +130,10 @@ def _expect_look(
     sides: Sequence[int] | None,
     spheres: SeenSpheres,
 ) -> Sighting:
-    """Return a careful look as the arm at these joints would give it, with the frame on it in view."""
+    """Return a careful look as the arm at these joints would give it, with the frame on it in view.
+
+    A head without spheres is seen by the frame on its clamp.
+    """
     workcell = context.workcell
     on_arm = (watch.robot_from_tracker.inverse() @ robot_from_marker(workcell, joints_rad, sides)).as_matrix()
     markers_mm = workcell.tracker.markers_mm[workcell.calibrations.tracker_frame.tool]
@@ -139,7 +142,7 @@ def _expect_look(
     return Sighting(
         {Tracked.ARM: Rest(joints_rad, rests)},
         spheres,
-        {Tracked.ARM: frame},
+        {Tracked.ARM: frame, **({} if len(watch.spheres_mm) else watch.expect_clamp())},
         watch.tracker.pushes,
         watch.epoch,
     )

@@ -34,6 +34,15 @@ class LineView:
         self._skin = Body(skin_in_theatre(head), SKIN)
         faced = head_with_face(head)
         self._hair = None if faced is None else Hair(partial(hidden_by_hair, faced), partial(hair_mm, faced))
+        if (
+            self._projector is not None
+        ):  # the surface is sampled now, not while a camera waits for its picture
+            middle = np.array([head.centre_ct_mm])
+            self._skin.surface.cast(
+                middle + np.array([0.0, 0.0, FURTHEST_MM]), np.array([[0.0, 0.0, -1.0]]), FURTHEST_MM
+            )
+            if faced is not None:
+                hidden_by_hair(faced, middle)
 
     def runs(
         self,

@@ -19,6 +19,7 @@ from sim.world.rigid import Point, Vector
 from sim.world.scene.model import Head
 
 FAR_MM = 400.0  # from the centre: outside every head
+GRID_LINES, FINER_GRIDS = 41, 3  # of parallel rays that look for the furthest place
 
 
 def head_with_face(head: Head) -> ParametricHead | None:
@@ -52,6 +53,29 @@ def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
     along = skin.cast(start[None], inwards[None], FAR_MM)
     point = start + along[0] * inwards
     return point, skin.normals(point[None])[0]
+
+
+def find_furthest(head: Head, direction: Vector) -> Vector:
+    """Return where the skin in the theatre reaches furthest in a direction, CT frame: such as an ear.
+
+    `direction` is in shares of the head's size. Of a head without a face, that is a point of its ellipsoid.
+    """
+    centre, axes = np.array(head.centre_ct_mm), np.array(head.semi_axes_mm)
+    if head.face is None:
+        return np.asarray(centre + axes * direction)
+    outwards = direction / np.linalg.norm(direction)
+    across = np.linalg.svd(outwards[None])[2][1:]
+    skin, middle, half_mm = skin_in_theatre(head), centre, float(axes.max())
+    for _ in range(FINER_GRIDS):
+        steps = np.linspace(-half_mm, half_mm, GRID_LINES)
+        grid = (steps[:, None, None] * across[0] + steps[:, None] * across[1]).reshape(-1, 3)
+        starts = middle + FAR_MM * outwards + grid
+        away = skin.cast(starts, np.broadcast_to(-outwards, starts.shape), 2.0 * FAR_MM)
+        nearest = int(np.nanargmin(away))
+        found = starts[nearest] - away[nearest] * outwards
+        middle = found - outwards * ((found - centre) @ outwards)
+        half_mm *= 3.0 / GRID_LINES
+    return np.asarray(found)
 
 
 def head_extent(head: Head) -> tuple[Vector, Vector]:

@@ -1,0 +1,41 @@
+"""Registration on the skin: what was scanned, what of it was used, and how the skin differs from the CT."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from procedures.reporting.files import Picture, load_pictures
+from procedures.reporting.run_reading import RunReading
+from procedures.steps.clinical.correspondence import SurfaceStart
+from procedures.steps.clinical.fiducial_localization import SkinInCt
+from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
+
+
+@dataclass(frozen=True)
+class SurfaceSection:
+    """Results of a case without markers, as far as it came."""
+
+    skin: SkinInCt
+    start: SurfaceStart | None
+    scan: ScannedSurface | None
+    registration: RegisteredBySurface | None
+    pictures: tuple[Picture, ...]
+
+    @property
+    def points(self) -> int:
+        """Points of the scan."""
+        return 0 if self.scan is None else sum(len(line.points_mm) for line in self.scan.lines)
+
+
+def read_surface(reading: RunReading) -> SurfaceSection | None:
+    """Read the section; None for a case with markers."""
+    skin = reading.find(SkinInCt)
+    if skin is None:
+        return None
+    return SurfaceSection(
+        skin,
+        reading.find(SurfaceStart),
+        reading.find(ScannedSurface),
+        reading.find(RegisteredBySurface),
+        load_pictures(reading, "surface-"),
+    )

@@ -1,0 +1,72 @@
+"""Skin in the CT, which takes the place of spheres: a case without markers registers on it."""
+
+from __future__ import annotations
+
+from procedures.engine.context import StepContext
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.imaging.ct_surface import CtSurface, find_skin
+from procedures.planning.faced_head import fit_cranium_and_face
+from procedures.registration.surface.errors import ARM_NOT_CALIBRATED, NO_PATIENT_FRAME, NO_PROJECTOR
+from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM
+from procedures.steps.clinical.ct_import import ImportedCt, volume_of
+from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
+from procedures.steps.conditions import needs_guide_unmounted
+from ronna_hw.devices.sensors import line_projector
+
+LEAST_TOLD = 0.01  # of the boundary, for a part that is not used to be told of
+
+
+def run(context: StepContext) -> Outcome[SkinInCt]:
+    """Find the skin.
+
+    Raises CT-028 without a head, and SRF-030, SRF-031, SRF-034 for a theatre that cannot scan it.
+    """
+    workcell = context.workcell
+    if line_projector(workcell.stereo) is None:
+        raise NO_PROJECTOR("the stereo head of this theatre has no line projector")
+    if workcell.patient_frame is None:
+        raise NO_PATIENT_FRAME("this theatre has no frame on the head clamp")
+    if workcell.calibrations.arm is None:
+        raise ARM_NOT_CALIBRATED("the arm of this theatre has no calibration record")
+    context.result(ImportedCt)
+    skin = skin_of(context)
+    cranium, face = fit_cranium_and_face(skin)
+    return Outcome(
+        SkinInCt(
+            series_instance_uid=volume_of(context).series_instance_uid,
+            diameter_mm=SPHERE_DIAMETER_MM,
+            markers=(),
+            doubtful=(),
+            samples=len(skin.points_mm),
+            cranium=cranium,
+            face=face,
+            excluded=tuple(
+                ExcludedSkin(reason=str(one.reason), share=one.share, middle_mm=one.middle_ct_mm)
+                for one in skin.excluded
+            ),
+        ),
+        summary=f"{len(skin.points_mm)} places on the skin"
+        + "".join(
+            f"; not used: {one.share:.0%}, {one.reason}" for one in skin.excluded if one.share >= LEAST_TOLD
+        ),
+    )
+
+
+def skin_of(context: StepContext) -> CtSurface:
+    """Return the skin of the imported CT, found once a session. Raises CT-028 and as `volume_of`."""
+    memory = context.setting.memory
+    skin = memory.find(CtSurface)
+    if skin is None:
+        skin = find_skin(volume_of(context))
+        memory.keep(skin)
+    return skin
+
+
+STEP = StepSpec(
+    SkinInCt,
+    "Find the skin in the CT",
+    Phase.PREOPERATIVE,
+    run,
+    reads=(ImportedCt,),
+    preconditions=needs_guide_unmounted,
+)

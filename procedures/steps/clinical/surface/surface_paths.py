@@ -1,0 +1,86 @@
+"""Check of all paths of a case without markers: looks at the skin in the place of looks at spheres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from procedures.engine.context import StepContext
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.planning.line_of_sight import SkinSight
+from procedures.planning.skin_views import choose_views, order_views
+from procedures.planning.visits import ArmSetting, Reached
+from procedures.registration.surface.errors import NO_STATIONS
+from procedures.registration.surface.regions import HeadAxes
+from procedures.registration.surface.stations import Station, choose_stations
+from procedures.registration.surface.surface import Surface
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.path_check import CheckedPaths, arm_setting_of, check_all_paths
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.room import ROOM_READS
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surroundings import READS
+from procedures.steps.conditions import needs_guide_unmounted
+from procedures.strategies.skin_looks import SkinLooks
+from ronna_hw.arrays import Array
+from ronna_hw.frames import Transform
+
+CANDIDATES, VIEWS = 36, 18  # looks that are compared, and taken: 54 lines, three to a look
+LOOK_S = 3.0  # theatre time of a look
+SEEN_MM = 12.0  # of the skin around the middle of a look: half of a line
+FEWEST_VIEWS = 8  # with fewer the scan would be refused for its coverage
+# Parts that hair grows on or that lie on the headrest, where a line does not show the skin; and the jaw,
+# which opens.
+NOT_SCANNED = ("vault", "occiput", "neck", "jaw")
+
+
+def run(context: StepContext) -> Outcome[CheckedPaths]:
+    """Choose looks at the skin, and joints for them and for every target. Raises PLAN-007, SRF-033."""
+    context.result(ImportedCt)
+    context.progress(0.0, "choosing looks at the skin")
+    setting, skin = arm_setting_of(context), skin_of(context)
+    places_mm = skin.points_mm
+    scanned = ~np.isin(HeadAxes.of(skin).name_parts(places_mm), NOT_SCANNED)
+    branch = setting.kinematics.branch_of(setting.start_rad)
+    found = choose_views(setting, branch, places_mm[scanned], skin.normals[scanned], CANDIDATES)
+    targets_mm = [one.target_mm for one in context.result(CheckedPlan).plan.trajectories]
+    views = choose_by_error(setting, found, skin, np.array(targets_mm))
+    if len(views) < FEWEST_VIEWS:
+        raise NO_STATIONS(
+            "the arm can look at few places on the skin", limit=f"{FEWEST_VIEWS} looks", got=str(len(views))
+        )
+    context.progress(0.2, "checking every path")
+    setting = replace(setting, strategy=SkinLooks(views))
+    sight = SkinSight.of(context.workcell.calibrations.stereo_head)
+    return check_all_paths(context, setting, sight, np.empty((0, 3)), range(len(views)))
+
+
+def choose_by_error(
+    setting: ArmSetting, views: Sequence[Reached], skin: Surface, targets_mm: Array
+) -> tuple[Transform, ...]:
+    """Return the views that lower the expected error at the targets (n, 3), CT mm, most, as they are taken.
+
+    The rest of the scan's time is for the first of the others: they are spread over the skin.
+    """
+    ct_from_robot, points_mm = setting.robot_from_ct.inverse(), skin.points_mm
+    stations = []
+    for view in views:
+        middle_mm = ct_from_robot.apply(view.visit.pose.translation_mm)
+        near = np.linalg.norm(points_mm - middle_mm, axis=1) < SEEN_MM
+        stations.append(Station(points_mm[near], skin.normals[near], LOOK_S))
+    best = choose_stations(stations, targets_mm, worth_mm_per_s=0.0).stations
+    chosen = [*best, *(number for number in range(len(views)) if number not in best)][:VIEWS]
+    return tuple(one.visit.pose for one in order_views(setting, [views[number] for number in chosen]))
+
+
+STEP = StepSpec(
+    CheckedPaths,
+    "Check every path",
+    Phase.PREPARATION,
+    run,
+    reads=(ImportedCt, *ROOM_READS, CheckedSetUp, *READS),
+    preconditions=needs_guide_unmounted,
+)

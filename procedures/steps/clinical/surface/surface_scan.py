@@ -1,0 +1,202 @@
+"""Scan of the skin: at each look the projector's line in a few places across, seen by the stereo head.
+
+The points are kept in the robot frame by the nominal tool pose, with the number of the look: what the arm
+errs there its points share, and the registration accounts for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from procedures.engine.context import StepContext
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
+from procedures.guards.room_reading import CAREFUL_FRAMES
+from procedures.journal.errors import GateFailed
+from procedures.registration.surface.errors import NOTHING_LIT
+from procedures.relocalization.triangulation import camera_model
+from procedures.room.sighting import Tracked
+from procedures.steps.clinical.correspondence import SurfaceStart
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.path_check import (
+    CheckedPaths,
+    LocalizationPose,
+    announce_motions,
+    motions_over_spheres,
+)
+from procedures.steps.clinical.relocalization import arriving
+from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedSurface
+from procedures.steps.clinical.room import ROOM_READS, check_room
+from procedures.steps.clinical.surface.coverage_picture import draw_coverage
+from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surroundings import READS, surround_stereo_head
+from procedures.steps.conditions import REMOUNTED, needs_tool
+from procedures.workcell import MountedTool
+from procedures.workcell.centring import Centring
+from procedures.workcell.line_look import LineLook
+from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
+from ronna_hw.arrays import Array
+from ronna_hw.errors import RonnaError, is_error
+from ronna_hw.vectors import vector3
+
+ACROSS_MM = (0.0, 6.0, -6.0)  # places of the line across a look, along the tool's y axis
+LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
+CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
+DECIMALS = 4  # of a point in the record, mm
+SMALL_STEPS = "the small steps across each place on the skin"
+LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
+
+
+def run(context: StepContext) -> Outcome[ScannedSurface]:
+    """Scan the skin from all looks of the path check. Raises SRF-032 if none shows a line, PRO-007."""
+    paths = context.result(CheckedPaths)
+    motions = motions_over_spheres(paths.motions, context.key.trajectory)
+    announced = announce_motions(motions, SMALL_STEPS) if motions else None
+    with context.workcell.master.supervised.announce_step_motions(announced):
+        return _scan(context, paths)
+
+
+def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
+    context.result(ImportedCt)
+    planned = [one for _, one in paths.looks_for(context.key.trajectory)]
+    workcell = context.workcell
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
+    _begin(context)
+    began_s = workcell.clock.now_s()
+    lines: list[ScannedLine] = []
+    dark: dict[str, str] = {}
+    offsets_mm: list[Array] = []
+    for number, one in enumerate(planned):
+        context.progress(number / len(planned), f"scanning the skin, look {number + 1} of {len(planned)}")
+        scanner = _Scanner(context, number, one, arriving(context, paths, one))
+        seen = scanner.scan()
+        if not seen:
+            dark[str(number + 1)] = scanner.reason
+        lines += seen
+        offsets_mm += [
+            np.median(line.points_mm, axis=0) - one.tool_pose.transform.translation_mm for line in seen
+        ]
+    theatre_s = workcell.clock.now_s() - began_s
+    for name, reason in dark.items():
+        context.find(f"look {name} at the skin shows no line: {reason}")
+    require_lines(lines, dark)
+    scanner.back_off()
+    check_room(context, "after the skin was scanned")
+    points_mm = np.concatenate([line.points_mm for line in lines])
+    in_ct = np.asarray(context.result(SurfaceStart).robot_from_ct.transform.inverse().apply(points_mm))
+    covered, picture = draw_coverage(skin_of(context), in_ct)
+    context.keep_picture("surface-coverage.png", picture)
+    return Outcome(
+        ScannedSurface.without_spheres(
+            coarse_offset_mm=vector3(np.mean(offsets_mm, axis=0)),
+            lines=lines,
+            planned_looks=len(planned),
+            dark=dark,
+            covered=covered,
+            theatre_s=theatre_s,
+        ),
+        summary=f"{len(lines)} lines, {len(points_mm)} points, {covered:.0%} of the skin above the jaw"
+        + (f"; {len(dark)} looks show no line" if dark else ""),
+    )
+
+
+def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str]) -> None:
+    """Raise SRF-032 without any line; `dark` has the reasons by look."""
+    if not lines:
+        reason = next(iter(dark.values()), "") or "nothing"
+        raise NOTHING_LIT(
+            f"no look shows the line: {reason}", expected="a line", got=f"{len(dark)} dark looks"
+        )
+
+
+def _begin(context: StepContext) -> None:
+    """Start arm and cameras; if the arm is at home, it must be seen there, so that what moves later shows."""
+    workcell, occasion = context.workcell, "before the skin is scanned"
+    check_room(context, occasion)
+    workcell.start(cameras=True)
+    if workcell.master.place.is_home:
+        workcell.master.return_home()
+        if check_room(context, occasion, CAREFUL_FRAMES).base_mm is None:
+            raise GateFailed(
+                f"{occasion}, the tracker does not see the frame on the arm",
+                expected=f"the frame in view, with {workcell.phrases.arms} home",
+                action="Clear the line of sight between tracker and arm, then repeat the step.",
+            )
+    workcell.sensors.read_around_tool(LINE_AREA_PX)
+
+
+class _Scanner:
+    """Scans one place on the skin: on to it, then across it in small steps."""
+
+    def __init__(
+        self, context: StepContext, number: int, look: LocalizationPose, sides: tuple[int, ...] | None
+    ) -> None:
+        self._context, self._number, self._look, self._sides = context, number, look, sides
+        approach_mm = context.setting.settings.approach_mm
+        self._centring = Centring(context.workcell, sides, LINE_AREA_PX, approach_mm)
+        self.reason = ""
+
+    def scan(self) -> list[ScannedLine]:
+        """Return the lines that show, with `reason` for those that do not."""
+        workcell, pose = self._context.workcell, self._look.tool_pose.transform
+        lines: list[ScannedLine] = []
+        for across_mm in ACROSS_MM:
+            here = pose.displace(pose.rotation_matrix[:, 1] * across_mm)
+            try:
+                self._centring.go_over(here, self._look.approach_rad)
+            except RonnaError as problem:
+                if not is_error(problem, *LEFT_OUT):
+                    raise
+                self.reason = problem.summary
+                continue
+            if across_mm == ACROSS_MM[0] and self._number % CHECKED_LOOKS == 0:
+                name = f"at look {self._number + 1}"
+                check_room(self._context, name, sides={Tracked.ARM: self._sides})
+            seen = workcell.look_at_line(workcell.look_dark())
+            if seen.points is None or not len(seen.points.points_mm):
+                self.reason = "" if seen.problem is None else seen.problem.summary
+            else:
+                lines.append(self._record(seen))
+        return lines
+
+    def back_off(self) -> None:
+        """Back off along the tool axis, if the arm is over the skin."""
+        if self._centring.is_over_sphere:
+            self._centring.back_off()
+
+    def _record(self, seen: LineLook) -> ScannedLine:
+        workcell, found = self._context.workcell, seen.points
+        assert found is not None
+        joints_rad = workcell.master.joints_rad()
+        pose = workcell.master.tool_pose(joints_rad, self._sides)
+        view_mm = camera_model(workcell.calibrations.stereo_head.left).centre_mm
+        turn = pose.rotation_matrix
+        return ScannedLine(
+            look=self._number,
+            joints_rad=joints_rad,
+            view_mm=vector3(_rounded(pose.apply(view_mm))),
+            points_mm=_rounded(pose.apply(found.points_mm)).tolist(),
+            covariances_mm2=_upper(turn @ found.covariance_mm2 @ turn.T).tolist(),
+        )
+
+
+def _rounded(points_mm: Array) -> Array:
+    return np.asarray(np.round(points_mm, DECIMALS))
+
+
+def _upper(covariance_mm2: Array) -> Array:
+    return np.asarray(covariance_mm2[:, UPPER[0], UPPER[1]])
+
+
+STEP = StepSpec(
+    ScannedSurface,
+    "Scan the skin with the stereo head",
+    Phase.OPERATION,
+    run,
+    scope=Scope.LOCALIZATION,
+    reads=(ImportedCt, CheckedPaths, SurfaceStart, *ROOM_READS, *READS),
+    moves=True,
+    preconditions=needs_tool(MountedTool.STEREO_HEAD, REMOUNTED),
+)

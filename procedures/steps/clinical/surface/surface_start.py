@@ -1,0 +1,104 @@
+"""Start of a registration on the skin: landmarks of the head that are touched with a pointer.
+
+Nose and ears are where the head reaches furthest to the front and to either side, so that a person finds
+them on the patient and the computer in the CT, without a mark on either.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from procedures.engine.context import StepContext
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.imaging.head_landmarks import find_landmark
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import FramedPose
+from procedures.operator.question import Task
+from procedures.registration.correspondence import MatchStatus
+from procedures.registration.errors import HeadElsewhere
+from procedures.registration.room_prior import LANDMARKS
+from procedures.registration.surface.starts import Start
+from procedures.registration.verification import verify_two_way
+from procedures.steps.clinical.coarse_match import room_prior
+from procedures.steps.clinical.correspondence import FARTHEST_MM, READ_AGAIN, SurfaceStart, TouchedPoint
+from procedures.steps.clinical.ct_import import ImportedCt, volume_of
+from procedures.steps.clinical.fiducial_localization import SkinInCt
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.conditions import needs_guide_unmounted
+from ronna_hw.text import format_against_limit
+from ronna_hw.vectors import vector3
+from ronna_hw.wire.room_tasks import TOUCH
+
+TOUCHED = ("tip of the nose", "left ear", "right ear")
+LANDMARK_SD_MM = 4.0  # per axis, of a landmark touched on skin and found in the CT (U)
+# Of the touched places from the same three of the CT, rms.
+# Safety against a mistyped reading, and against another patient. Source: four times the landmarks' own error.
+MOST_APART_MM = 4.0 * LANDMARK_SD_MM
+
+
+def run(context: StepContext) -> Outcome[SurfaceStart]:
+    """Have the landmarks touched, and fit the head to them. Raises PRO-007, REG-013."""
+    context.result(ImportedCt)
+    context.result(SkinInCt)
+    room, plan = context.result(GlobalLocalization), context.result(CheckedPlan)
+    volume, skin_mm = volume_of(context), skin_of(context).points_mm
+    in_ct_mm = np.array([find_landmark(volume, skin_mm, LANDMARKS[one]) for one in TOUCHED])
+    context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
+    touched_mm = np.array([_touch(context, one) for one in TOUCHED])
+    start = Start.from_landmarks(in_ct_mm, touched_mm, LANDMARK_SD_MM)
+    pose = start.robot_from_ct
+    off_mm = np.linalg.norm(touched_mm - pose.apply(in_ct_mm), axis=1)
+    apart_mm = float(np.sqrt(np.mean(off_mm**2)))
+    if apart_mm > MOST_APART_MM:
+        raise GateFailed(
+            "nose and ears are not as far from each other as in the CT",
+            limit=f"{MOST_APART_MM:g} mm rms",
+            got=f"{format_against_limit(apart_mm, MOST_APART_MM, 1)} mm",
+            action=READ_AGAIN,
+        )
+    prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
+    middle_mm = np.asarray(pose.apply(prior.sight.centre_mm))
+    if objection := prior.check_position(pose.rotation_matrix, middle_mm):
+        raise HeadElsewhere(f"by the landmarks {objection}", action=READ_AGAIN)
+    return Outcome(
+        SurfaceStart(
+            status=MatchStatus.UNIQUE,
+            pairs=(),
+            robot_from_ct=FramedPose.of(pose),
+            residuals_mm=(),
+            margin_nats=None,
+            two_way=verify_two_way(np.empty((0, 3)), room.points_mm, (), pose),
+            landmarks=tuple(
+                TouchedPoint(landmark=name, in_ct_mm=vector3(there), touched_mm=vector3(here), off_mm=off)
+                for name, there, here, off in zip(TOUCHED, in_ct_mm, touched_mm, off_mm.tolist(), strict=True)
+            ),
+            turn_sd_rad=start.turn_rad,
+            place_sd_mm=start.place_mm,
+        ),
+        summary=f"{len(TOUCHED)} landmarks, {apart_mm:.1f} mm rms from their fit",
+    )
+
+
+def _touch(context: StepContext, landmark: str) -> tuple[float, ...]:
+    return context.perform_task(
+        Task(
+            TOUCH,
+            f"touch the {landmark} with the pointer, where it reaches furthest, and read its position in "
+            "the base of the master ($ROBROOT of a KUKA, Base of a Universal Robots arm)",
+            numbers=LANDMARKS[landmark],
+            reads=("x in mm", "y in mm", "z in mm"),
+            plausible_mm=(-FARTHEST_MM, FARTHEST_MM),
+        )
+    )
+
+
+STEP = StepSpec(
+    SurfaceStart,
+    "Place the head by landmarks",
+    Phase.PREPARATION,
+    run,
+    reads=(ImportedCt, SkinInCt, GlobalLocalization, CheckedPlan),
+    preconditions=needs_guide_unmounted,
+)

@@ -1,0 +1,63 @@
+"""Stereo head looks at the projector's line: a pair with the line, and one without."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from procedures.registration.surface.errors import NO_PROJECTOR
+from procedures.relocalization.errors import LINES_DO_NOT_MATCH, NOT_IN_A_PLANE, NoLine, Saturated
+from procedures.relocalization.laser_line import measure_line
+from procedures.relocalization.line_points import LinePoints, triangulate_line
+from procedures.workcell.stereo_look import area_image, grab_usable
+from ronna_hw.calibration import StereoHeadCalibration
+from ronna_hw.clock import Clock
+from ronna_hw.devices import StereoPair
+from ronna_hw.devices.readings import StereoReading
+from ronna_hw.devices.sensors import line_projector
+from ronna_hw.errors import RonnaError, is_error
+
+# Errors that mean no line on the skin here, or one that says nothing; everything else is a fault.
+NOT_SEEN = (NoLine, Saturated, LINES_DO_NOT_MATCH, NOT_IN_A_PLANE)
+
+
+@dataclass(frozen=True)
+class LineLook:
+    """Result of one look at the line. `points` is None where neither camera shows it well enough."""
+
+    reading: StereoReading
+    points: LinePoints | None
+    problem: RonnaError | None = None
+
+
+def look_dark(stereo: StereoPair, clock: Clock) -> StereoReading:
+    """Take a pair without the line. Raises SRF-030 without a projector, STE-012."""
+    _switch(stereo, on=False)
+    return grab_usable(stereo, clock)
+
+
+def look_at_line(
+    stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock, dark: StereoReading
+) -> LineLook:
+    """Take a pair with the line, and measure its points against a `dark` pair of the same place.
+
+    Raises SRF-030 without a projector, STE-012 without a usable pair.
+    """
+    _switch(stereo, on=True)
+    reading = grab_usable(stereo, clock)
+    try:
+        left, right = (
+            measure_line(area_image(lit), area_image(unlit))
+            for lit, unlit in ((reading.left, dark.left), (reading.right, dark.right))
+        )
+        return LineLook(reading, triangulate_line(left, right, calibration))
+    except RonnaError as problem:
+        if not is_error(problem, *NOT_SEEN):
+            raise
+        return LineLook(reading, None, problem)
+
+
+def _switch(stereo: StereoPair, *, on: bool) -> None:
+    projector = line_projector(stereo)
+    if projector is None:
+        raise NO_PROJECTOR("the stereo head of this theatre has no line projector")
+    projector.set_projector(on)

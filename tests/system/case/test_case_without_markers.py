@@ -1,0 +1,23 @@
+"""A whole case registers on the skin, by a scan over the wire, and its error is within what it predicted."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from run_folders import records_of
+from simulated_case import SimulatedCase
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+SEED = 7
+
+
+def test_a_case_without_markers_reaches_its_target_within_its_predicted_error(case: SimulatedCase) -> None:
+    ran = case.run("--scene", "mini", "--seed", str(SEED), "--fiducials", "surface")
+    assert ran.returncode == 0, ran.stderr
+    outcome = json.loads(ran.stdout)
+    records = {record.kind: record.payload for record in records_of(case.run_folder)}
+    (predicted,) = records["surface_registration"]["predictions"]
+    assert outcome["max_application_error_mm"] < predicted["limit_mm"]
+    assert not records["skin_in_ct"]["markers"]
+    assert "Registration on the skin" in (case.run_folder / "report.html").read_text()

@@ -1,0 +1,131 @@
+"""Steps of a case without markers: what they stand in for, and what they refuse."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from coded_errors import raises
+
+from procedures.engine.context import StepContext
+from procedures.imaging.head_landmarks import find_landmark
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.registration.surface.errors import (
+    ARM_NOT_CALIBRATED,
+    NO_PATIENT_FRAME,
+    NO_PROJECTOR,
+    NO_STATIONS,
+    NOTHING_LIT,
+)
+from procedures.steps.catalogue import clinical_steps
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.results import (
+    RegisteredRobot,
+    Relocalization,
+    ScannedLine,
+    ScannedSurface,
+)
+from procedures.steps.clinical.surface import skin_in_ct, surface_paths, surface_scan
+from ronna_hw.roles import TWO_ARMS
+
+
+class Head:
+    """A stereo head with a line projector, which only says that it is one."""
+
+    has_projector = True
+    projector_on = False
+
+    def set_projector(self, on: bool, timeout_s: float = 5.0) -> None:
+        raise AssertionError("nothing is switched before the theatre is known to be fit")
+
+
+def context_of(**workcell: Any) -> StepContext:
+    return cast(StepContext, SimpleNamespace(workcell=SimpleNamespace(**workcell)))
+
+
+def test_later_steps_read_the_skin_where_they_read_spheres() -> None:
+    steps = {step.name: step for step in clinical_steps(on_skin=True)}
+    bases = (LocalizedFiducials, Correspondence, Relocalization, RegisteredRobot)
+    read = {model for step in steps.values() for model in step.reads if issubclass(model, bases)}
+    assert {model.kind for model in read} == {
+        "skin_in_ct",
+        "surface_start",
+        "surface_scan",
+        "surface_registration",
+    }
+
+
+def test_an_assistant_and_a_scan_of_the_skin_are_not_combined() -> None:
+    with pytest.raises(ValueError, match="replace the same step"):
+        clinical_steps(on_skin=True, roles=TWO_ARMS)
+
+
+def test_a_theatre_that_cannot_scan_or_watch_the_head_is_refused_first() -> None:
+    with raises(NO_PROJECTOR):
+        skin_in_ct.run(context_of(stereo=object(), patient_frame="on clamp"))
+    with raises(NO_PATIENT_FRAME):
+        skin_in_ct.run(context_of(stereo=Head(), patient_frame=None))
+    with raises(ARM_NOT_CALIBRATED):
+        skin_in_ct.run(
+            context_of(stereo=Head(), patient_frame="on clamp", calibrations=SimpleNamespace(arm=None))
+        )
+
+
+def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    skin = SimpleNamespace(points_mm=np.zeros((4, 3)), normals=np.zeros((4, 3)))
+    kinematics = SimpleNamespace(branch_of=lambda _joints: None)
+    plan = SimpleNamespace(plan=SimpleNamespace(trajectories=()))
+    context = SimpleNamespace(result=lambda _model: plan, progress=lambda _share, _text: None)
+    monkeypatch.setattr(surface_paths, "skin_of", lambda _context: skin)
+    monkeypatch.setattr(
+        surface_paths,
+        "arm_setting_of",
+        lambda _context: SimpleNamespace(kinematics=kinematics, start_rad=()),
+    )
+    monkeypatch.setattr(
+        surface_paths,
+        "HeadAxes",
+        SimpleNamespace(of=lambda _skin: SimpleNamespace(name_parts=lambda points: np.full(len(points), ""))),
+    )
+    monkeypatch.setattr(surface_paths, "choose_views", lambda *_arguments: ())
+    monkeypatch.setattr(surface_paths, "choose_by_error", lambda *_arguments: ())
+    with raises(NO_STATIONS):
+        surface_paths.run(cast(StepContext, context))
+
+
+def test_a_scan_without_any_line_is_refused_with_the_reason() -> None:
+    with raises(NOTHING_LIT, match="no laser line"):
+        surface_scan.require_lines([], {"1": "no laser line in view"})
+
+
+def test_a_recorded_scan_gives_back_points_and_covariances() -> None:
+    line = ScannedLine(
+        look=3,
+        joints_rad=(0.0,) * 6,
+        view_mm=(0.0, 0.0, 300.0),
+        points_mm=((1.0, 2.0, 3.0), (1.5, 2.0, 3.0)),
+        covariances_mm2=((4.0, 0.1, 0.2, 5.0, 0.3, 6.0),) * 2,
+    )
+    scanned = ScannedSurface.without_spheres(
+        coarse_offset_mm=(0.0, 0.0, 0.0), lines=(line,), planned_looks=4, dark={}, covered=0.1, theatre_s=1.0
+    )
+    assert scanned.looks_taken == (3,)
+    assert scanned.scan.points_mm.tolist() == [[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]]
+    expected = [[4.0, 0.1, 0.2], [0.1, 5.0, 0.3], [0.2, 0.3, 6.0]]
+    assert scanned.scan.covariance_mm2.tolist() == [expected, expected]
+
+
+def test_a_landmark_is_the_end_of_a_thin_ear_and_not_of_a_rest_beside_it() -> None:
+    grid = np.indices((80, 80, 80)) - 40.0  # slices, rows, columns: superior, posterior, left
+    voxels = np.full(grid.shape[1:], -1000, dtype=np.int16)
+    voxels[np.linalg.norm(grid, axis=0) < 20.0] = 40
+    voxels[38:43, 39:41, 55:71] = 40  # the ear, to 30 mm left
+    voxels[38:43, 39:41, 74:78] = 40  # a shell that does not touch it
+    geometry = VoxelGeometry((80, 80, 80), np.full(3, -40.0), np.eye(3)[:, ::-1], np.ones(3))
+    volume = Volume(voxels, geometry, "1.2", "1.3")
+    angles = np.linspace(0.0, np.pi, 40)
+    skin = 20.0 * np.column_stack([np.sin(angles), np.zeros(40), np.cos(angles)])
+    assert find_landmark(volume, skin, (1.0, 0.0, 0.0)) == pytest.approx([29.5, -0.5, 0.0], abs=0.6)
