@@ -253,9 +253,7 @@ def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
     return frozenset(past)
 
 
-def parent_of_kind(
-    record: Record, model: type[StepResult], records: Mapping[str, Record]
-) -> Record | None:
+def parent_of_kind(record: Record, model: type[StepResult], records: Mapping[str, Record]) -> Record | None:
     """Return a record's parent that is of a model, or stands in for it, from `records` (by identifier)."""
     kinds = stand_ins(model)
     return next((parent for parent in _parents(record, records) if parent.kind in kinds), None)
