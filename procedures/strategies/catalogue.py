@@ -108,7 +108,7 @@ STRATEGIES: tuple[Strategy, ...] = (
 
 
 def find_strategy(name: str) -> Strategy:
-    """Return the strategy with this name, also that of a scan of the skin. Raises STR-002 for an unknown one."""
+    """Return the strategy of this name, or that of a scan of the skin. Raises STR-002 for an unknown one."""
     for strategy in (*STRATEGIES, SkinLooks()):
         if strategy.name == name:
             return strategy
