@@ -111,7 +111,7 @@ NO_PROJECTOR = ErrorCode(
     "SRF-030",
     RefusedError,
     "The plan has the surface of the head registered, and the stereo head has no line projector.",
-    "Name the projector under [stereo.projector] of the theatre file, or register by markers.",
+    "Name the projector under [stereo.options.projector] of the theatre file, or register by markers.",
 )
 
 NO_PATIENT_FRAME = ErrorCode(
