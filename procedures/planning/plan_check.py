@@ -250,7 +250,7 @@ def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
                 got=f"{volume.patient_position} (of the CT)",
             )
         )
-    if plan.implanted < FEWEST_THAT_TELL_A_MOVE:
+    if 0 < plan.implanted < FEWEST_THAT_TELL_A_MOVE:
         warnings.append(f"with {plan.implanted} fiducials a displaced one cannot be detected")
     return findings, warnings
 
