@@ -253,7 +253,7 @@ class Plan(Strict):
         if not fewest <= self.implanted <= most:
             raise PydanticCustomError(
                 "implanted",
-                "{implanted} markers are implanted, with fiducials {kind} there are {fewest} to {most}",
+                "implanted: found {implanted}, expected {fewest} to {most} with fiducials {kind}",
                 {"implanted": self.implanted, "kind": self.fiducials.value, "fewest": fewest, "most": most},
             )
         return self

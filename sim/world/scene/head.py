@@ -106,7 +106,10 @@ def draw_head(
     With `measures` the head has a face, and as few spheres as are asked for.
     """
     if not (0 if measures else 3) <= markers <= 8:
-        raise BAD_SCENE(f"a head carries 3 to 8 markers, not {markers}")
+        raise BAD_SCENE(
+            f"a head carries 3 to 8 markers, not {markers}",
+            action="Give --markers 3 to 8, or --fiducials mixed, with the skin in addition.",
+        )
     if not 1 <= targets <= 10:
         raise BAD_SCENE(f"a plan has 1 to 10 targets, not {targets}")
     skin = skin_at if measures is None else skin_of(measures)

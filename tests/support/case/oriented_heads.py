@@ -25,6 +25,7 @@ from ronna_hw.config import ProcedureSettings
 from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.line_of_sight import head_ellipsoid, visible
+from sim.world.options import Carrier
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, pose_of
 from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, draw_direction, skin_at
 from sim.world.scene.named_scenes import draw_scene
@@ -123,7 +124,7 @@ def drawn_head(layout: str, random: np.random.Generator) -> OrientedHead:
             seed=int(random.integers(1 << 30)),
             markers=int(layout) if layout.isdigit() else None,
             targets=1,
-            x_frame=layout == "xframe",
+            fiducials=Carrier.XFRAME if layout == "xframe" else Carrier.FREE,
         )
         head = scene.head
         image = np.array([one.centre_ct_mm for one in head.fiducials])

@@ -45,6 +45,7 @@ class IdealPair(IdealDevice):
         self.serials = ("", "")
         self.areas = (FULL, FULL)
         self.count = 0
+        self.has_projector, self.projector_on = True, False
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         self.guard.require("connect", {Lifecycle.DISCONNECTED})
@@ -80,6 +81,14 @@ class IdealPair(IdealDevice):
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
         if share <= 0.0:
             raise LimitError("no such exposure")
+
+    def set_projector(self, on: bool, timeout_s: float = 5.0) -> None:
+        self.guard.require("set_projector", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        self.projector_on = on
+
+    def deactivate(self, timeout_s: float = 5.0) -> None:
+        super().deactivate()
+        self.projector_on = False
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         self.guard.require("grab_pair", {Lifecycle.ACTIVE})

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from conformance.case import OUTPUT
 from conformance.gige.protocol import PROTOCOL
 from conformance.report import CaseResult, run_case
 from conformance.target import build_device_under_test
@@ -48,7 +49,7 @@ class Stand:
 
     def run(self, number: str) -> CaseResult:
         config = DeviceConfig(driver="basler_stereo", endpoints=self.pair.endpoints)
-        dut = build_device_under_test("stereo", config, HostClock())
+        dut = build_device_under_test("stereo", config, HostClock(), frozenset({OUTPUT.name}))
         try:
             return run_case(next(case for case in PROTOCOL.cases if case.number == number), dut)
         finally:

@@ -10,7 +10,7 @@ import pytest
 from ideal_pair import LEFT, RIGHT, IdealPair, Rig, altered
 
 from conformance import device_under_test, stereo
-from conformance.case import CaseOutcome
+from conformance.case import OUTPUT, CaseOutcome
 from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from conformance.target import build_device_under_test
@@ -33,7 +33,7 @@ def make_dut(monkeypatch: pytest.MonkeyPatch) -> MakeDut:
         for module in (device_under_test, registry):
             monkeypatch.setattr(module, "make_device", driver)
         config = DeviceConfig(driver="test", endpoints={"left": LEFT, "right": RIGHT})
-        return build_device_under_test("stereo", config, HostClock())
+        return build_device_under_test("stereo", config, HostClock(), frozenset({OUTPUT.name}))
 
     return make
 

@@ -30,6 +30,7 @@ from ronna_hw.frames import Transform
 
 CANDIDATES, VIEWS = 36, 18  # looks that are compared, and taken: 54 lines, three to a look
 LOOK_S = 3.0  # theatre time of a look
+# Safety against a look from which more is expected than its lines show (U).
 SEEN_MM = 12.0  # of the skin around the middle of a look: half of a line
 FEWEST_VIEWS = 8  # with fewer the scan would be refused for its coverage
 # Parts that hair grows on or that lie on the headrest, where a line does not show the skin; and the jaw,

@@ -142,7 +142,7 @@ class _Scanner:
         """Return the lines that show, with `reason` for those that do not."""
         workcell, pose = self._context.workcell, self._look.tool_pose.transform
         lines: list[ScannedLine] = []
-        for across_mm in ACROSS_MM:
+        for place, across_mm in enumerate(ACROSS_MM):
             here = pose.displace(pose.rotation_matrix[:, 1] * across_mm)
             try:
                 self._centring.go_over(here, self._look.approach_rad)
@@ -151,7 +151,7 @@ class _Scanner:
                     raise
                 self.reason = problem.summary
                 continue
-            if across_mm == ACROSS_MM[0] and self._number % CHECKED_LOOKS == 0:
+            if place == 0 and self._number % CHECKED_LOOKS == 0:
                 name = f"at look {self._number + 1}"
                 check_room(self._context, name, sides={Tracked.ARM: self._sides})
             seen = workcell.look_at_line(workcell.look_dark())
