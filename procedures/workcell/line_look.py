@@ -29,21 +29,21 @@ class LineLook:
     problem: RonnaError | None = None
 
 
-def look_dark(stereo: StereoPair, clock: Clock) -> StereoReading:
-    """Take a pair without the line. Raises SRF-030 without a projector, STE-012."""
-    _switch(stereo, on=False)
-    return grab_usable(stereo, clock)
+def look_at_line(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -> LineLook:
+    """Take a pair without the line and one with it, and measure the points of what is lit.
 
-
-def look_at_line(
-    stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock, dark: StereoReading
-) -> LineLook:
-    """Take a pair with the line, and measure its points against a `dark` pair of the same place.
-
+    The line is lit for its own pair alone: no laser shines while the arm moves or somebody is asked.
     Raises SRF-030 without a projector, STE-012 without a usable pair.
     """
-    _switch(stereo, on=True)
-    reading = grab_usable(stereo, clock)
+    projector = line_projector(stereo)
+    if projector is None:
+        raise NO_PROJECTOR("the stereo head of this theatre has no line projector")
+    dark = grab_usable(stereo, clock)
+    projector.set_projector(True)
+    try:
+        reading = grab_usable(stereo, clock)
+    finally:
+        projector.set_projector(False)
     try:
         left, right = (
             measure_line(area_image(lit), area_image(unlit))
@@ -54,10 +54,3 @@ def look_at_line(
         if not is_error(problem, *NOT_SEEN):
             raise
         return LineLook(reading, None, problem)
-
-
-def _switch(stereo: StereoPair, *, on: bool) -> None:
-    projector = line_projector(stereo)
-    if projector is None:
-        raise NO_PROJECTOR("the stereo head of this theatre has no line projector")
-    projector.set_projector(on)

@@ -19,7 +19,7 @@ from procedures.workcell.arms import Arms, Halt
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.device_views import DeviceView
 from procedures.workcell.errors import OtherArmUnknown
-from procedures.workcell.line_look import LineLook, look_at_line, look_dark
+from procedures.workcell.line_look import LineLook, look_at_line
 from procedures.workcell.master import Master
 from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_arm import SupervisedArm
@@ -28,7 +28,6 @@ from ronna_hw.config import Calibrations, DeviceConfig
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WRONG_KIND
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
-from ronna_hw.devices.readings import StereoReading
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
@@ -245,16 +244,9 @@ class Workcell:
         self.on_look(seen)
         return seen
 
-    def look_dark(self) -> StereoReading:
-        """Take a pair with the line projector off. Raises SRF-030, STE-012."""
-        return look_dark(self.stereo, self.clock)
-
-    def look_at_line(self, dark: StereoReading) -> LineLook:
-        """Take a pair with the line projector on, and measure the line against a dark pair.
-
-        Raises SRF-030, STE-012.
-        """
-        return look_at_line(self.stereo, self.calibrations.stereo_head, self.clock, dark)
+    def look_at_line(self) -> LineLook:
+        """Measure the projector's line, lit for this look alone. Raises SRF-030, STE-012."""
+        return look_at_line(self.stereo, self.calibrations.stereo_head, self.clock)
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction streams and, if requested, the cameras. Raises PRO-002, TOOL-001."""

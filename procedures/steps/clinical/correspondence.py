@@ -170,17 +170,8 @@ def _touch_if_mirrored(
             got=f"{landmark.apart_mm:.1f} mm",
             action="Add a sphere outside the plane of the others, and scan again.",
         )
-    context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
-    x_mm, y_mm, z_mm = context.perform_task(
-        Task(
-            TOUCH,
-            f"the spheres fit a mirrored CT as well: touch the {landmark.name} with the pointer and read its "
-            "position in the base of the master ($ROBROOT of a KUKA, Base of a Universal Robots arm)",
-            numbers=landmark.direction,
-            reads=("x in mm", "y in mm", "z in mm"),
-            plausible_mm=(-FARTHEST_MM, FARTHEST_MM),
-        )
-    )
+    why = f"the spheres fit a mirrored CT as well: touch the {landmark.name} with the pointer"
+    x_mm, y_mm, z_mm = touch_head(context, why, landmark.direction)
     touched_mm = np.array([x_mm, y_mm, z_mm])
     off_mm = float(np.linalg.norm(landmark.matched_mm - touched_mm))
     if off_mm > landmark.limit_mm:
@@ -197,6 +188,22 @@ def _touch_if_mirrored(
     return TouchedLandmark(
         landmark=landmark.name, touched_mm=(x_mm, y_mm, z_mm), off_mm=off_mm, mirrored_mm=landmark.apart_mm
     )
+
+
+def touch_head(context: StepContext, order: str, direction: Numbers3) -> Numbers3:
+    """Have the head touched on the side of a direction (LPS); return the place as read, robot frame, mm."""
+    context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
+    x_mm, y_mm, z_mm = context.perform_task(
+        Task(
+            TOUCH,
+            f"{order} and read its position in the base of the master ($ROBROOT of a KUKA, Base of a "
+            "Universal Robots arm)",
+            numbers=direction,
+            reads=("x in mm", "y in mm", "z in mm"),
+            plausible_mm=(-FARTHEST_MM, FARTHEST_MM),
+        )
+    )
+    return x_mm, y_mm, z_mm
 
 
 def _require_base_in_place(context: StepContext, room: GlobalLocalization) -> None:

@@ -65,21 +65,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
     workcell, settings = context.workcell, context.setting.settings
     workcell.master.mount.check(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2][1].joints_rad)
-    occasion = "before the spheres are localized again"
-    # What moves from here on shows at home.
-    if workcell.master.place.is_home or not context.stands(Relocalization):
-        check_room(context, occasion)
-        workcell.start(cameras=True)
-        workcell.master.return_home()
-        if check_room(context, occasion, CAREFUL_FRAMES).base_mm is None:
-            raise GateFailed(
-                f"{occasion}, the tracker does not see the frame on the arm",
-                expected=f"the frame in view, with {workcell.phrases.arms} home",
-                action="Clear the line of sight between tracker and arm, then repeat the step.",
-            )
-    else:
-        check_room(context, occasion)
-        workcell.start(cameras=True)
+    begin_looks(context, "before the spheres are localized again", Relocalization)
 
     def look(fiducial: int) -> None:  # in the very pose: the local errors of the arm show in it
         check_room(context, f"over sphere {fiducial + 1}", sides={Tracked.ARM: centring.arriving})
@@ -164,6 +150,26 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         )
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out),
     )
+
+
+def begin_looks(context: StepContext, occasion: str, result: type[Relocalization]) -> None:
+    """Start arm and cameras; unless a `result` stands, the arm begins at home, seen there by the tracker.
+
+    What moves from then on shows at home. Raises PRO-007.
+    """
+    workcell = context.workcell
+    from_home = workcell.master.place.is_home or not context.stands(result)
+    check_room(context, occasion)
+    workcell.start(cameras=True)
+    if not from_home:
+        return
+    workcell.master.return_home()
+    if check_room(context, occasion, CAREFUL_FRAMES).base_mm is None:
+        raise GateFailed(
+            f"{occasion}, the tracker does not see the frame on the arm",
+            expected=f"the frame in view, with {workcell.phrases.arms} home",
+            action="Clear the line of sight between tracker and arm, then repeat the step.",
+        )
 
 
 def _expect_offsets(context: StepContext, planned: Sequence[LocalizationPose]) -> dict[int, Array]:

@@ -273,7 +273,7 @@ class RegisteredRobot(StepResult, kind="registration"):
 
     @property
     def can_follow(self) -> bool:
-        """Whether it can follow a small move of the head that the tracker measures by the spheres."""
+        """Whether a small move of the head, which the tracker measures by the spheres, can be followed."""
         return True
 
     @property

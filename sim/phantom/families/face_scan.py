@@ -26,7 +26,7 @@ TUBE_ALONG = (0.25, -0.85, -0.45)  # out of the mouth, to the patient's left
 
 @dataclass(frozen=True)
 class FaceFamily:
-    """What is around a head with a face in the CT."""
+    """Surroundings of a head with a face in the CT: headrest, tube, pins."""
 
     shows: str
     trough: bool = True

@@ -12,8 +12,6 @@ import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.guards.room_reading import CAREFUL_FRAMES
-from procedures.journal.errors import GateFailed
 from procedures.registration.surface.errors import NOTHING_LIT
 from procedures.relocalization.triangulation import camera_model
 from procedures.room.sighting import Tracked
@@ -25,7 +23,7 @@ from procedures.steps.clinical.path_check import (
     announce_motions,
     motions_over_spheres,
 )
-from procedures.steps.clinical.relocalization import arriving
+from procedures.steps.clinical.relocalization import arriving, begin_looks
 from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedSurface
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surface.coverage_picture import draw_coverage
@@ -63,7 +61,8 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     workcell = context.workcell
     workcell.master.mount.check(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
-    _begin(context)
+    begin_looks(context, "before the skin is scanned", ScannedSurface)
+    workcell.sensors.read_around_tool(LINE_AREA_PX)
     began_s = workcell.clock.now_s()
     lines: list[ScannedLine] = []
     dark: dict[str, str] = {}
@@ -111,22 +110,6 @@ def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str]) -> None
         )
 
 
-def _begin(context: StepContext) -> None:
-    """Start arm and cameras; if the arm is at home, it must be seen there, so that what moves later shows."""
-    workcell, occasion = context.workcell, "before the skin is scanned"
-    check_room(context, occasion)
-    workcell.start(cameras=True)
-    if workcell.master.place.is_home:
-        workcell.master.return_home()
-        if check_room(context, occasion, CAREFUL_FRAMES).base_mm is None:
-            raise GateFailed(
-                f"{occasion}, the tracker does not see the frame on the arm",
-                expected=f"the frame in view, with {workcell.phrases.arms} home",
-                action="Clear the line of sight between tracker and arm, then repeat the step.",
-            )
-    workcell.sensors.read_around_tool(LINE_AREA_PX)
-
-
 class _Scanner:
     """Scans one place on the skin: on to it, then across it in small steps."""
 
@@ -154,7 +137,7 @@ class _Scanner:
             if place == 0 and self._number % CHECKED_LOOKS == 0:
                 name = f"at look {self._number + 1}"
                 check_room(self._context, name, sides={Tracked.ARM: self._sides})
-            seen = workcell.look_at_line(workcell.look_dark())
+            seen = workcell.look_at_line()
             if seen.points is None or not len(seen.points.points_mm):
                 self.reason = "" if seen.problem is None else seen.problem.summary
             else:

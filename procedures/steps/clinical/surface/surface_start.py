@@ -13,14 +13,13 @@ from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.head_landmarks import find_landmark
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose
-from procedures.operator.question import Task
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import LANDMARKS
 from procedures.registration.surface.starts import Start
 from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical.coarse_match import room_prior
-from procedures.steps.clinical.correspondence import FARTHEST_MM, READ_AGAIN, SurfaceStart, TouchedPoint
+from procedures.steps.clinical.correspondence import READ_AGAIN, SurfaceStart, TouchedPoint, touch_head
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -29,7 +28,6 @@ from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import vector3
-from ronna_hw.wire.room_tasks import TOUCH
 
 TOUCHED = ("tip of the nose", "left ear", "right ear")
 LANDMARK_SD_MM = 4.0  # per axis, of a landmark touched on skin and found in the CT (U)
@@ -45,8 +43,8 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     room, plan = context.result(GlobalLocalization), context.result(CheckedPlan)
     volume, skin_mm = volume_of(context), skin_of(context).points_mm
     in_ct_mm = np.array([find_landmark(volume, skin_mm, LANDMARKS[one]) for one in TOUCHED])
-    context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
-    touched_mm = np.array([_touch(context, one) for one in TOUCHED])
+    orders = {one: f"touch the {one} with the pointer, where it reaches furthest," for one in TOUCHED}
+    touched_mm = np.array([touch_head(context, orders[one], LANDMARKS[one]) for one in TOUCHED])
     start = Start.from_landmarks(in_ct_mm, touched_mm, LANDMARK_SD_MM)
     pose = start.robot_from_ct
     off_mm = np.linalg.norm(touched_mm - pose.apply(in_ct_mm), axis=1)
@@ -78,19 +76,6 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
             place_sd_mm=start.place_mm,
         ),
         summary=f"{len(TOUCHED)} landmarks, {apart_mm:.1f} mm rms from their fit",
-    )
-
-
-def _touch(context: StepContext, landmark: str) -> tuple[float, ...]:
-    return context.perform_task(
-        Task(
-            TOUCH,
-            f"touch the {landmark} with the pointer, where it reaches furthest, and read its position in "
-            "the base of the master ($ROBROOT of a KUKA, Base of a Universal Robots arm)",
-            numbers=LANDMARKS[landmark],
-            reads=("x in mm", "y in mm", "z in mm"),
-            plausible_mm=(-FARTHEST_MM, FARTHEST_MM),
-        )
     )
 
 

@@ -85,7 +85,7 @@ class MadeHead:
         )
 
     def cast(self, origins: Array, directions: Array) -> tuple[Array, Mask]:
-        """Where rays meet the head."""
+        """Return the points at which rays meet the head."""
         along = np.zeros(len(origins))
         for _ in range(70):
             along = np.minimum(along + 0.7 * self.distance_mm(origins + along[:, None] * directions), 450.0)

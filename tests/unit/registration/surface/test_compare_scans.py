@@ -12,7 +12,7 @@ TARGET_MM = np.array([0.0, 20.0, 0.0])
 
 
 def again(made, shift_mm):
-    """The same scan with other noise, displaced by what is given for each place in the CT."""
+    """Scan again with other noise, displaced by what is given for each place in the CT."""
     places = made.truth.inverse().apply(made.scan.points_mm)
     turn = made.truth.rotation_matrix
     noise = np.random.default_rng(5).normal(size=places.shape) * 0.05

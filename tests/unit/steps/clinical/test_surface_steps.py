@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -19,6 +20,7 @@ from procedures.registration.surface.errors import (
     NO_STATIONS,
     NOTHING_LIT,
 )
+from procedures.relocalization.errors import NoLine, PairNotUsable
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -29,6 +31,7 @@ from procedures.steps.clinical.results import (
     ScannedSurface,
 )
 from procedures.steps.clinical.surface import skin_in_ct, surface_paths, surface_scan
+from procedures.workcell import line_look
 from ronna_hw.roles import TWO_ARMS
 
 
@@ -99,6 +102,33 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_scan_without_any_line_is_refused_with_the_reason() -> None:
     with raises(NOTHING_LIT, match="no laser line"):
         surface_scan.require_lines([], {"1": "no laser line in view"})
+
+
+@pytest.mark.parametrize("usable", [True, False])
+def test_the_laser_is_lit_for_its_own_pair_alone(usable: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    lit: list[bool] = []
+
+    class Switched(Head):
+        def set_projector(self, on: bool, timeout_s: float = 5.0) -> None:
+            self.projector_on = on
+
+    def grab(stereo: Switched, clock: object) -> SimpleNamespace:
+        lit.append(stereo.projector_on)
+        if stereo.projector_on and not usable:
+            raise PairNotUsable("no usable pair")
+        return SimpleNamespace(left=None, right=None)
+
+    def measure(*_images: object) -> None:
+        raise NoLine("no laser line in view")
+
+    monkeypatch.setattr(line_look, "grab_usable", grab)
+    monkeypatch.setattr(line_look, "area_image", lambda _image: None)
+    monkeypatch.setattr(line_look, "measure_line", measure)
+    head = Switched()
+    with nullcontext() if usable else pytest.raises(PairNotUsable):
+        line_look.look_at_line(cast(Any, head), cast(Any, None), cast(Any, None))
+    assert lit == [False, True]
+    assert not head.projector_on
 
 
 def test_a_recorded_scan_gives_back_points_and_covariances() -> None:
