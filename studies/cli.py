@@ -20,6 +20,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_output_folder, with_option_records
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.text import format_count
+from studies.surface.kinds import Kinds
 
 if TYPE_CHECKING:
     from studies.campaign.study import Study, Sums, Table
@@ -547,12 +548,18 @@ def surface(
     heads: Annotated[
         int,
         typer.Option(
-            "--heads", min=1, max=10_000, help="Heads, each under 34 conditions; more continue a study."
+            "--heads", min=1, max=10_000, help="Heads, each under all conditions; more continue a study."
         ),
     ] = 334,
     shifts: Annotated[
         int, typer.Option("--shifts", min=0, max=10_000, help="Scans with a third of the skin shifted.")
     ] = 100,
+    kinds: Annotated[
+        Kinds,
+        typer.Option(
+            "--kinds", help="Judged kinds of misfit, those that may be seen during development, or both."
+        ),
+    ] = Kinds.ALL,
     export: Annotated[
         Path | None,
         typer.Option(
@@ -564,12 +571,13 @@ def surface(
 ) -> None:
     """Registration on the skin without markers: errors, their prediction, refusals, on heads with misfits.
 
-    With the defaults about 10,000 registrations are judged, in one to two hours of a processor.
+    With the defaults about 10,000 registrations are judged, and 5,000 of development kinds run beside.
     """
     from studies.surface import tables
     from studies.surface.study import SurfaceStudy
 
-    study = SurfaceStudy(heads, study_options.seed, shifts)
+    name = SurfaceStudy.name if kinds is Kinds.ALL else f"{SurfaceStudy.name}-{kinds}"
+    study = SurfaceStudy(heads, study_options.seed, shifts, kinds, name)
     if export is None:
         _run(study, tables, study_options)
         return

@@ -27,9 +27,10 @@ from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from studies.campaign.study import Cell, Table, Unit, generator
-from studies.surface.conditions import JUDGED, SHIFTED, Coverage
+from studies.surface.conditions import Coverage
 from studies.surface.export import export_study, scan_name
 from studies.surface.heads import HeadInCt
+from studies.surface.kinds import Kinds
 from studies.surface.scanning import Trial
 from studies.surface.study import TARGETS_SEED, SurfaceStudy, draw_unit
 
@@ -48,7 +49,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=77)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/surface/clouds"))
     given = parser.parse_args()
-    study = JudgedClouds(given.heads, given.seed, shifts=0)
+    study = SurfaceStudy(given.heads, given.seed, shifts=0, kinds=Kinds.JUDGED)
     export_study(study, given.out, lambda share: None)
     poses = given.out / "peers.jsonl"
     script = Path(__file__).parents[1] / "peers" / "cloud_peers.py"
@@ -68,18 +69,6 @@ def main() -> None:
     (given.out / "same_clouds.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
     (given.out / "same_clouds.md").write_text(table.markdown(), encoding="utf-8")
     print(table.markdown())
-
-
-class JudgedClouds(SurfaceStudy):
-    """The judged conditions of the study without shifted skin."""
-
-    def units(self) -> Sequence[Unit]:
-        """Return the units of judged skins."""
-        return [
-            unit
-            for unit in super().units()
-            if unit.condition != SHIFTED and unit.condition.partition("|")[2] in JUDGED
-        ]
 
 
 def _register(study: SurfaceStudy) -> tuple[Results, dict[str, float], dict[str, str]]:

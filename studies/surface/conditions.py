@@ -1,7 +1,7 @@
 """Conditions of the study, frozen before it is judged.
 
-The estimator was tuned on none of the judged skins. Its own hypotheses, Matérn 1/2 and 3/2, are not among
-them.
+The estimator was tuned on none of the judged skins, but with the development skins in view (decision 33). Its
+own hypotheses, Matérn 1/2 and 3/2, are not among the judged ones.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import product
 
 import numpy as np
 
 from ronna_hw.arrays import Array
+from studies.surface.kinds import Kinds
 
 Direction = tuple[float, float, float]
 
@@ -46,10 +48,16 @@ class Skin(StrEnum):
     SWELLING = "quadratic swelling"
     TAPE = "tape and jaw"
     PILLOW = "pillow and pins"
+    SAG = "gravity on a turned head"
+    OEDEMA = "one-sided oedema"
+    SLICES = "movement during the CT"
+    SCALE = "scale and tilt of the CT"
+    BAND = "pressed band"
+    FOLDS = "relaxed folds"
 
 
-MODELLED = (Skin.RIGID, Skin.ROUGH)  # shown, but not judged: of the estimator's own hypotheses
-JUDGED = tuple(skin for skin in Skin if skin not in MODELLED)
+JUDGED = (Skin.SAG, Skin.OEDEMA, Skin.SLICES, Skin.SCALE, Skin.BAND, Skin.FOLDS)
+DEVELOPMENT = tuple(skin for skin in Skin if skin not in JUDGED)  # shown, but not judged
 
 
 @dataclass(frozen=True)
@@ -71,11 +79,23 @@ COVERAGES: Mapping[Coverage, Scanned] = {
     ),
     Coverage.HAIR: Scanned(FRONT + SIDES, Hair.HAT),
 }
-SHOWN_MODELLED = (Coverage.ALL, Coverage.FRONT_AND_EARS)
+SHOWN_BESIDE = (Coverage.ALL, Coverage.FRONT_AND_EARS)  # of development skins beside judged ones
 REFUSABLE = (Coverage.FACE, Coverage.HAIR)  # refused, or predicted honestly
 
+
+def conditions(kinds: Kinds) -> list[tuple[Coverage, Skin]]:
+    """Return the conditions: all coverages of these kinds; development skins beside judged ones have two."""
+    if kinds is not Kinds.ALL:
+        return list(product(Coverage, JUDGED if kinds is Kinds.JUDGED else DEVELOPMENT))
+    return [
+        (coverage, skin)
+        for coverage, skin in product(Coverage, Skin)
+        if skin in JUDGED or coverage in SHOWN_BESIDE
+    ]
+
+
 # Drawn for each registration
-SIZE_MM = (0.1, 0.8)  # standard deviation of the misfit, uniform in its logarithm
+SIZE_MM = (0.1, 0.8)  # standard deviation of a field, uniform in its logarithm; other kinds have less of it
 LENGTH_MM = (12.0, 50.0)  # over which it is correlated, likewise
 OFFSETS_MM = (0.0, 0.1, 0.2)  # standard deviation of the surface's level in the CT
 NOISES_MM = (0.03, 0.1, 0.3)  # of a point along the ray of light, standard deviation

@@ -1,8 +1,9 @@
-"""How far the skin in the theatre is from that in the CT, along its normal: one function for each kind."""
+"""How far the skin in the theatre is from that in the CT, along its normal, by its kind."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -10,7 +11,8 @@ from ronna_hw.arrays import Array
 from sim.world.head_surface.parametric_head import ParametricHead
 from sim.world.head_surface.skin_shift import ShiftedHead, SkinShift
 from sim.world.head_surface.smooth_field import SmoothField
-from studies.surface.conditions import SHIFT_EDGE_MM, SHIFT_MM, SHIFTED_SHARE, Draw, Skin
+from studies.surface.conditions import JUDGED, SHIFT_EDGE_MM, SHIFT_MM, SHIFTED_SHARE, Draw, Skin
+from studies.surface.judged_skins import judged_misfit
 
 ORDERS = {Skin.ROUGH: 0.5, Skin.SMOOTH: 2.5, Skin.SMOOTHEST: float("inf")}
 PATCHES, PATCH_EDGE_MM, PATCH_RADII = (6, 15), 4.0, (0.6, 1.5)  # radii relative to the length
@@ -106,6 +108,7 @@ _KINDS: Mapping[Skin, Displacement] = {
     Skin.SWELLING: _swelling,
     Skin.TAPE: _tape,
     Skin.PILLOW: _pillow,
+    **{skin: partial(judged_misfit, skin) for skin in JUDGED},
 }
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import product
 
 import numpy as np
 
@@ -15,19 +14,19 @@ from procedures.registration.surface.surface_registration import SurfaceRegistra
 from ronna_hw.errors import RefusedError
 from studies.campaign.study import Study, Sums, Unit, generator
 from studies.surface.conditions import (
-    JUDGED,
     SHIFT_COVERAGE,
     SHIFT_SIZE_MM,
     SHIFT_SKIN,
     SHIFTED,
     SHIFTS,
     SHIFTS_EACH,
-    SHOWN_MODELLED,
     Coverage,
     Draw,
     Skin,
+    conditions,
 )
 from studies.surface.heads import HeadInCt, draw_head
+from studies.surface.kinds import Kinds
 from studies.surface.scanning import Trial, draw_trial
 
 REFUSED, CHANGED = "refused", "changed"
@@ -39,11 +38,15 @@ TARGETS_SEED = 1  # added to the study's: targets do not depend on how a scan dr
 
 @dataclass(frozen=True)
 class SurfaceStudy(Study):
-    """`heads` heads under each condition, one registration each, and `shifts` with shifted skin."""
+    """`heads` heads under each condition, one registration each, and `shifts` with shifted skin.
+
+    `kinds` leaves out the judged skins, so that a developer does not see them, or those of development.
+    """
 
     heads: int = 334
     seed: int = 0
     shifts: int = SHIFTS
+    kinds: Kinds = Kinds.ALL
     name: str = "surface"
 
     def settings(self) -> dict[str, object]:
@@ -52,13 +55,9 @@ class SurfaceStudy(Study):
 
     def units(self) -> Sequence[Unit]:
         """Return one unit for each registration, head by head, so that a stopped study is balanced."""
-        conditions = [
-            f"{coverage}|{skin}"
-            for coverage, skin in product(Coverage, Skin)
-            if skin in JUDGED or coverage in SHOWN_MODELLED
-        ]
+        names = [f"{coverage}|{skin}" for coverage, skin in conditions(self.kinds)]
         return [
-            *(Unit(condition, head, 1) for head in range(self.heads) for condition in conditions),
+            *(Unit(name, head, 1) for head in range(self.heads) for name in names),
             *(Unit(SHIFTED, head, 1) for head in range(self.shifts)),
         ]
 

@@ -21,14 +21,17 @@ from studies.campaign.study import (
 )
 from studies.surface.conditions import (
     DEPTHS_MM,
+    DEVELOPMENT,
     JUDGED,
     NOISES_MM,
     OFFSETS_MM,
     REFUSABLE,
     SHIFTED,
+    SHOWN_BESIDE,
     Coverage,
     Skin,
 )
+from studies.surface.kinds import Kinds
 from studies.surface.outcomes import (
     Outcome,
     accepted,
@@ -58,30 +61,33 @@ PUBLISHED: tuple[dict[str, Cell], ...] = (
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Return the goals, the errors by each variable, refusals, shifted skin, and the published figures."""
+    """Return the goals, the errors by each variable, refusals, shifted skin, and the published figures.
+
+    All but one are of the judged skins. A study without these has tables of its development skins instead.
+    """
     outcomes = read_outcomes(sums)
-    judged = [one for one in outcomes if one.skin in JUDGED]
+    name, chosen = _choose(outcomes)
     shifted = [one for one in outcomes if one.skin == SHIFTED]
     return [
-        Table("Goals", GOALS, _goals(judged, outcomes, shifted), _count(judged)),
+        Table("Goals", GOALS, _goals(chosen, outcomes, shifted), _count(name, chosen)),
         Table.of(
             "By coverage",
-            [_row("coverage", coverage, _of(judged, coverage)) for coverage in Coverage],
-            f"Judged skins only. R²: true errors against the predicted rms. {bounds.NOTE} The targets of a "
-            "head count as one group.",
+            [_row("coverage", coverage, _of(chosen, coverage)) for coverage in Coverage],
+            f"{name.capitalize()} skins only. R²: true errors against the predicted rms. {bounds.NOTE} The "
+            "targets of a head count as one group.",
         ),
         Table.of(
             "By coverage and skin",
             [
-                {"coverage": coverage, **_row("skin", skin, chosen)}
+                {"coverage": coverage, **_row("skin", skin, these)}
                 for coverage in Coverage
                 for skin in Skin
-                if (chosen := [one for one in outcomes if (one.coverage, one.skin) == (coverage, skin)])
+                if (these := [one for one in outcomes if (one.coverage, one.skin) == (coverage, skin)])
             ],
-            "Rigid phantom and Matérn 1/2 are among the estimator's own hypotheses and not judged.",
+            f"Judged are {', '.join(JUDGED)}. The others were seen as the estimator was developed.",
         ),
-        Table.of("By variable", _by_variable(judged), "Judged skins, all coverages."),
-        Table.of("Refusals", _refusals(judged), "Numbers of registrations by the code of their refusal."),
+        Table.of("By variable", _by_variable(chosen), f"{name.capitalize()} skins, all coverages."),
+        Table.of("Refusals", _refusals(chosen), "Numbers of registrations by the code of their refusal."),
         Table.of("Skin shifted by 1 mm over a third of the scan", _shifted(shifted)),
         Table.of(
             "Beside published figures",
@@ -90,8 +96,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 *(
                     {
                         "": f"here: {coverage}, registration alone",
-                        "mean mm": _mean(_of(judged, coverage)),
-                        "R²": correlation_squared(_of(judged, coverage)),
+                        "mean mm": _mean(_of(chosen, coverage)),
+                        "R²": correlation_squared(_of(chosen, coverage)),
                     }
                     for coverage in Coverage
                 ),
@@ -104,8 +110,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Draw errors by coverage, and true against predicted errors."""
-    judged = [one for one in read_outcomes(sums) if one.skin in JUDGED]
-    found = {coverage: targets_of(_of(judged, coverage)) for coverage in Coverage}
+    _, chosen = _choose(read_outcomes(sums))
+    found = {coverage: targets_of(_of(chosen, coverage)) for coverage in Coverage}
     return {
         "surface-errors.png": boxes(
             "Registration on the skin: errors of accepted registrations",
@@ -121,23 +127,29 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     }
 
 
+def _choose(outcomes: Sequence[Outcome]) -> tuple[Kinds, Sequence[Outcome]]:
+    """Return the outcomes that the tables are about, and their kinds."""
+    if judged := [one for one in outcomes if one.skin in JUDGED]:
+        return Kinds.JUDGED, judged
+    return Kinds.DEVELOPMENT, [one for one in outcomes if one.skin in DEVELOPMENT]
+
+
 def _goals(
-    judged: Sequence[Outcome], outcomes: Sequence[Outcome], shifted: Sequence[Outcome]
+    chosen: Sequence[Outcome], outcomes: Sequence[Outcome], shifted: Sequence[Outcome]
 ) -> list[Sequence[Cell]]:
     rows = []
-    within, explained = share_within(judged), correlation_squared(judged)
+    within, explained = share_within(chosen), correlation_squared(chosen)
     if within is not None and explained is not None:
         rows.append(judge_within("targets within their 95 % limit, %", within.value, WITHIN_PERCENT))
         rows.append(judge_at_least("R² of true by predicted error", explained, LEAST_CORRELATION))
     for coverage in REFUSABLE:
-        chosen = _of(judged, coverage)
-        if (within := share_within(chosen)) is not None:
+        if (within := share_within(_of(chosen, coverage))) is not None:
             name = f"{coverage}: targets within their limit where not refused, %"
             rows.append(judge_at_least(name, within.value, WITHIN_PERCENT[0]))
     if shifted:
         noticed = 100.0 * sum(map(_is_noticed, shifted)) / len(shifted)
         rows.append(judge_at_least(f"{SHIFTED}: noticed, %", noticed, LEAST_NOTICED))
-    rigid = targets_of([one for one in outcomes if one.skin == Skin.RIGID])
+    rigid = targets_of([one for one in outcomes if one.skin == Skin.RIGID and one.coverage in SHOWN_BESIDE])
     if len(rigid):
         beyond = rigid[rigid[:, 0] > rigid[:, 2], 0]
         rows.append(judge_at_most("rigid phantom: mean error, mm", float(rigid[:, 0].mean()), RIGID_MEAN_MM))
@@ -151,11 +163,11 @@ def _goals(
     return rows
 
 
-def _count(judged: Sequence[Outcome]) -> str:
-    heads = len({one.head for one in judged})
+def _count(kinds: Kinds, chosen: Sequence[Outcome]) -> str:
+    heads = len({one.head for one in chosen})
     return (
-        f"{len(judged)} judged registrations on {heads} heads, of them {len(accepted(judged))} accepted. "
-        "The goals of the issue are for 10,000."
+        f"{len(chosen)} {kinds} registrations on {heads} heads, of them {len(accepted(chosen))} accepted. "
+        "The goals of the issue are for 10,000 judged ones."
     )
 
 
@@ -176,27 +188,27 @@ def _row(name: str, value: Cell, chosen: Sequence[Outcome]) -> dict[str, Cell]:
     }
 
 
-def _by_variable(judged: Sequence[Outcome]) -> list[dict[str, Cell]]:
+def _by_variable(outcomes: Sequence[Outcome]) -> list[dict[str, Cell]]:
     rows: list[dict[str, Cell]] = []
     for variable, edges in (("size_mm", SIZE_EDGES_MM), ("length_mm", LENGTH_EDGES_MM)):
         for low, high in pairwise(edges):
-            chosen = _where(judged, lambda one: low <= one.values[variable] <= high)  # noqa: B023
+            chosen = _where(outcomes, lambda one: low <= one.values[variable] <= high)  # noqa: B023
             rows.append({"variable": variable, **_row("value", f"{low:g} to {high:g}", chosen)})
     for variable, values in (("offset_sd_mm", OFFSETS_MM), ("noise_mm", NOISES_MM)):
         for value in values:
-            chosen = _where(judged, lambda one: one.values[variable] == value)  # noqa: B023
+            chosen = _where(outcomes, lambda one: one.values[variable] == value)  # noqa: B023
             rows.append({"variable": variable, **_row("value", f"{value:g}", chosen)})
     for depth in DEPTHS_MM:
-        chosen = [one.at_depth(depth) for one in judged]
+        chosen = [one.at_depth(depth) for one in outcomes]
         rows.append({"variable": "depth", **_row("value", depth, chosen)})
     return rows
 
 
-def _refusals(judged: Sequence[Outcome]) -> list[dict[str, Cell]]:
-    codes = sorted({one.refusal for one in judged if one.refusal})
+def _refusals(outcomes: Sequence[Outcome]) -> list[dict[str, Cell]]:
+    codes = sorted({one.refusal for one in outcomes if one.refusal})
     rows: list[dict[str, Cell]] = []
     for coverage in Coverage:
-        chosen = _of(judged, coverage)
+        chosen = _of(outcomes, coverage)
         counts = Counter(one.refusal for one in chosen)
         rows.append(
             {"coverage": coverage, "registrations": len(chosen), **{code: counts[code] for code in codes}}

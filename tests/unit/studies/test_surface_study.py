@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ronna_hw.frames import Frame, Transform
+from sim.world.head_surface.regions import Region, regions
 from studies.campaign.study import Unit, add_up
 from studies.surface import tables
-from studies.surface.conditions import SHIFTED, Coverage, Draw, Skin
+from studies.surface.conditions import DEVELOPMENT, JUDGED, SHIFTED, SIZE_MM, Coverage, Draw, Skin
 from studies.surface.export import export_study
 from studies.surface.heads import draw_head
+from studies.surface.kinds import Kinds
 from studies.surface.outcomes import Outcome, read_outcomes, share_within
 from studies.surface.scanning import Trial, draw_trial
 from studies.surface.skins import displace, shift_third
@@ -67,6 +70,83 @@ def test_an_event_displaces_a_part_of_the_skin_only(skin: Skin) -> None:
     ]
     assert np.mean(moved) < 0.5 * np.max(moved)
     assert np.max(moved) > DRAW.size_mm
+
+
+SHIFTED_BY: dict[Skin, tuple[float, float]] = {  # rms over the front and the ears, relative to the drawn size
+    Skin.SAG: (0.55, 0.85),
+    Skin.OEDEMA: (0.35, 0.7),
+    Skin.SLICES: (0.5, 0.9),
+    Skin.SCALE: (0.3, 0.5),
+    Skin.BAND: (0.55, 0.8),
+    Skin.FOLDS: (0.6, 0.8),
+}
+
+
+@functools.cache
+def judged(skin: Skin) -> np.ndarray:
+    """Return displacements (draw, point) of a judged skin at points of the front, and 0.5 mm beside."""
+    head = draw_head(SEED, 0)
+    front = head.skin_mm[(head.normals[:, 1] < 0.3) & (head.skin_mm[:, 2] > -100.0)][::40]
+    beside = front + 0.5 * np.eye(3)[np.arange(len(front)) % 3]
+    points = np.concatenate([front, beside])
+    return np.array([displace(skin, head.head, points, DRAW, np.random.default_rng(k)) for k in range(60)])
+
+
+@pytest.mark.parametrize("skin", JUDGED)
+def test_a_judged_skin_has_its_stated_size_over_the_front_of_the_head(skin: Skin) -> None:
+    low, high = SHIFTED_BY[skin]
+    front, _ = np.split(judged(skin), 2, axis=1)
+    assert low * DRAW.size_mm < np.sqrt(np.mean(front**2)) < high * DRAW.size_mm
+
+
+@pytest.mark.parametrize("skin", JUDGED)
+def test_a_judged_skin_is_smooth_and_differs_by_the_seed(skin: Skin) -> None:
+    front, beside = np.split(judged(skin), 2, axis=1)
+    assert np.sqrt(np.mean((front - beside) ** 2)) < 0.15 * np.sqrt(np.mean(front**2))
+    assert np.abs(np.diff(front, axis=0)).max(axis=1).min() > 1e-3
+
+
+def test_gravity_moves_the_cheeks_more_than_the_forehead_and_fluid_moves_the_skin_outwards_only() -> None:
+    head = draw_head(SEED, 0)
+    names = regions(head.head, head.skin_mm)
+    cheeks, foreheads = (head.skin_mm[names == name][::10] for name in (Region.CHEEK, Region.FOREHEAD))
+
+    def move(skin: Skin, points: np.ndarray) -> np.ndarray:
+        big = replace(DRAW, size_mm=10.0)  # beside which the weak field is nothing
+        return np.array([displace(skin, head.head, points, big, np.random.default_rng(k)) for k in range(30)])
+
+    assert np.std(move(Skin.SAG, cheeks)) > 4.0 * np.std(move(Skin.SAG, foreheads))
+    swollen = move(Skin.OEDEMA, cheeks)
+    assert swollen.min() > -0.3  # of the weak field
+    assert swollen.max() > 3.0
+
+
+def test_a_ct_of_wrong_scale_moves_the_skin_by_less_than_half_a_percent_of_its_distance() -> None:
+    head = draw_head(SEED, 0)
+    points = head.skin_mm[::40]
+    largest = replace(DRAW, size_mm=SIZE_MM[1])
+    moved = [displace(Skin.SCALE, head.head, points, largest, np.random.default_rng(k)) for k in range(60)]
+    assert np.sqrt(np.mean(np.square(moved) / np.square(points).sum(axis=1))) < 0.005
+
+
+def test_a_developer_runs_the_study_without_the_judged_skins_and_the_default_has_both() -> None:
+    def skins(kinds: Kinds) -> list[str]:
+        return [one.condition.partition("|")[2] for one in SurfaceStudy(1, shifts=0, kinds=kinds).units()]
+
+    assert set(skins(Kinds.DEVELOPMENT)) == set(DEVELOPMENT)
+    assert set(skins(Kinds.JUDGED)) == set(JUDGED)
+    assert len(skins(Kinds.JUDGED)) == 30  # six kinds, five coverages: 10,020 judged with 334 heads
+    assert sorted(skins(Kinds.ALL)) == sorted(skins(Kinds.JUDGED) + 2 * list(DEVELOPMENT))
+
+
+def test_tables_of_a_study_with_judged_skins_are_of_these_alone() -> None:
+    def goals(*skins: Skin) -> str:
+        one = {f"0|{name}": value for name, value in asdict(DRAW).items()} | {"0|refused|SRF-003": 1.0}
+        sums = {f"{Coverage.ALL}|{skin}": one for skin in skins}
+        return tables.tables(sums)[0].note
+
+    assert goals(Skin.BAND, Skin.TAPE, Skin.PILLOW).startswith("1 judged registrations")
+    assert goals(Skin.TAPE, Skin.PILLOW).startswith("2 development registrations")
 
 
 def test_a_third_of_the_skin_is_shifted_by_one_millimetre() -> None:
