@@ -113,7 +113,7 @@ def _slices(head: ParametricHead, points_mm: Array, length_mm: float, random: np
     """Move the skin above a slice against that below, as by a patient who moved during the CT."""
     own = points_mm - head.centre_ct_mm
     lowest, highest = head.landmarks.menton_mm, head.semi_axes_mm[2]
-    brain = np.linspace(*(share * highest for share in BRAIN))
+    brain = highest * np.linspace(*BRAIN)
     moved = np.zeros_like(own)
     for _ in range(int(random.integers(*MOVES))):
         height = random.uniform(lowest, highest)
