@@ -78,7 +78,7 @@ class SurfaceStudy(Study):
         except RefusedError as error:
             found[f"{REFUSED}|{error.code}"] = 1.0
         else:
-            found[CHANGED] = float(len(result.changed))
+            found[CHANGED] = float(result.changed is not None)
             for depth, places in targets.items():
                 for number, target in enumerate(places):
                     values = _judge(result, trial, target)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from procedures.registration.surface.changed_skin import ChangedSkin
 from procedures.registration.surface.errors import (
     FAR_FROM_START,
     HEAD_MOVED,
@@ -26,7 +26,6 @@ from procedures.registration.surface.regions import HEAD_MM, HeadAxes
 from procedures.registration.surface.settling import Pose, Settled, settle
 from procedures.registration.surface.starts import Start, pose_of
 from procedures.registration.surface.surface import Surface
-from procedures.registration.target_prediction import spread_directions
 from ronna_hw.arrays import Array, Mask
 
 COVERED_MM = 10.0  # a sample this near to a scanned point is covered
@@ -35,15 +34,7 @@ START_SIGMAS = 4.0
 MOVED_TURN_RAD, MOVED_MM = np.radians(1.0), 2.0  # of a head or cart that moved between looks (U)
 MOST_SPLITS = 12  # moments of a movement that are tried: the next one is near enough
 MOVED_EVIDENCE = 8.0  # log Bayes factor: one in three thousand, several movements tried
-CHANGED_MM = 1.0  # of skin that was pressed or swells (U)
-CHANGED_EVIDENCE = 4.0  # log Bayes factor, above which a region is excluded
-DOUBTED_EVIDENCE = -2.0  # log Bayes factor above which a shift is unknown in the adjustment, not zero
-MOST_DOUBTED = 6
-SIDE_SHARES = (0.2, 1.0 / 3.0, 0.45)  # of the scan, as when the head lay on one side
-LEAST_CHANGE_MM = 0.4  # a smaller one is a misfit like any other
-CHANGED_RADII_MM = (15.0, 30.0)
 FEWEST_IN_GROUP = 6
-SIDES = 24  # axes along which the sides are taken
 DIRECTIONS = ("left to right", "front to back", "head to feet")  # the axes of the CT
 
 
@@ -64,24 +55,6 @@ class SurfaceLimits:
     # Safety against hands, drapes and hair taken for the head, and skin that moved. Source: parametric heads.
     most_excluded: float = 0.25
     most_changed: float = 0.2
-
-
-@dataclass(frozen=True, eq=False)
-class ChangedSkin:
-    """Region of skin that is not where the CT shows it: its parts by name, its shift outwards, its points.
-
-    `points` marks the thinned points of the scan. `log_evidence` is the logarithm of the Bayes factor.
-    """
-
-    parts: tuple[str, ...]
-    shift_mm: float
-    log_evidence: float
-    points: Mask
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether the region is better excluded than adjusted."""
-        return self.log_evidence > CHANGED_EVIDENCE and abs(self.shift_mm) > LEAST_CHANGE_MM
 
 
 def require_same_head(found: Settled, limits: SurfaceLimits) -> None:
@@ -161,53 +134,13 @@ def require_still(model: MisfitModel, jacobian: Array, distances_mm: Array, look
         )
 
 
-def weigh_regions(
-    model: MisfitModel, jacobian: Array, found: Settled, used: Mask, axes: HeadAxes
-) -> list[ChangedSkin]:
-    """Weigh for regions of skin whether they are where the CT shows them; the most doubtful comes first.
-
-    Tried are discs of two sizes, the parts of the head by name, and three shares of the scan on each side.
-    """
-    places, distances = found.places_mm[used], found.distances_mm[used]
-    names = axes.name_parts(places)
-    groups = [names == one for one in np.unique(names)]
-    for direction in (sign * one for one in spread_directions(SIDES) for sign in (1.0, -1.0)):
-        along = places @ direction
-        groups.extend(along > np.quantile(along, 1.0 - share) for share in SIDE_SHARES)
-    tree = cKDTree(places)
-    for radius_mm in CHANGED_RADII_MM:
-        for rows in tree.query_ball_point(places[_spread(places, radius_mm)], radius_mm):
-            groups.append(np.isin(np.arange(len(places)), rows))
-    groups = [one for one in groups if FEWEST_IN_GROUP <= one.sum() <= len(places) // 2]
-    columns = [CHANGED_MM * one[:, None].astype(float) for one in groups]
-    regions = []
-    for one, rows in zip(weigh_displacements(model, jacobian, distances, columns), groups, strict=True):
-        points = np.zeros(len(used), dtype=bool)
-        points[np.flatnonzero(used)[rows]] = True
-        parts = tuple(sorted(set(names[rows].tolist())))
-        regions.append(ChangedSkin(parts, float(one.size[0] * CHANGED_MM), one.log_evidence, points))
-    return sorted(regions, key=lambda one: -one.log_evidence)
-
-
-def list_doubted(regions: Sequence[ChangedSkin]) -> list[ChangedSkin]:
-    """Return the regions that may have changed, the most doubtful first, without what they share."""
-    doubted: list[ChangedSkin] = []
-    for one in regions:
-        is_apart = all(2 * (one.points & other.points).sum() < one.points.sum() for other in doubted)
-        if one.log_evidence > DOUBTED_EVIDENCE and is_apart and len(doubted) < MOST_DOUBTED:
-            doubted.append(one)
-    return doubted
-
-
-def require_agreement(changed: Sequence[ChangedSkin], limits: SurfaceLimits) -> None:
+def require_agreement(changed: ChangedSkin | None, limits: SurfaceLimits) -> None:
     """Raise SRF-008 if the skin changed over too much of the scan."""
-    share = float(np.any([one.points for one in changed], axis=0).mean()) if changed else 0.0
-    if share > limits.most_changed:
-        names = sorted({name for one in changed for name in one.parts})
+    if changed is not None and changed.points.mean() > limits.most_changed:
         raise SKIN_CHANGED(
-            f"the skin is elsewhere at {', '.join(names)}",
+            f"the skin is elsewhere at {', '.join(changed.parts)}",
             limit=f"{limits.most_changed:.0%} of the scan",
-            got=f"{share:.0%}, up to {max(abs(one.shift_mm) for one in changed):.1f} mm",
+            got=f"{changed.points.mean():.0%}, by {changed.shift_mm:.1f} mm",
         )
 
 
@@ -242,12 +175,3 @@ def require_determined(
         limit=f"{limits.largest_error_mm:g} mm with 95 %",
         got=f"{limit_mm:.2f} mm",
     )
-
-
-def _spread(places_mm: Array, apart_mm: float) -> list[int]:
-    """Return rows of points that are at least this far apart."""
-    kept: list[int] = []
-    for row, place in enumerate(places_mm):
-        if not kept or np.linalg.norm(places_mm[kept] - place, axis=1).min() > apart_mm:
-            kept.append(row)
-    return kept

@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 
 from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
-from procedures.registration.surface.checks import ChangedSkin, weigh_regions
+from procedures.registration.surface.changed_skin import ChangedSkin, list_regions
 from procedures.registration.surface.errors import SCANS_APART
 from procedures.registration.surface.evidence import SCOUTS
-from procedures.registration.surface.misfit import MisfitModel, PoseMixture
+from procedures.registration.surface.misfit import Adjustment, MisfitModel, PoseMixture
 from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
@@ -33,12 +33,12 @@ NEIGHBOURS = 6
 
 @dataclass(frozen=True, eq=False)
 class ScanComparison:
-    """Movement of the head from the first scan to the second, and the regions of skin that moved beyond it.
+    """Movement of the head from the first scan to the second, and the skin that moved beyond it.
 
     `common` is the share of the second scan that the first shows too. `shift_mm` of a region is outwards.
     """
 
-    changed: tuple[ChangedSkin, ...]
+    changed: ChangedSkin | None
     common: float
     centre_ct_mm: Array
     robot_from_ct: Transform
@@ -62,7 +62,7 @@ def compare_scans(
     pose, axes = Pose(matrix[:3, :3], matrix[:3, 3]), HeadAxes.of(surface)
     before = Settled.at(pose, first.points_mm, first.view_mm, surface)
     kept = before.valid & (np.abs(before.distances_mm) < NEAR_MM)
-    rows, _ = thin_points(second.points_mm)
+    rows = thin_points(second.points_mm)
     thin = second.select(rows)
     after = Settled.at(pose, thin.points_mm, thin.view_mm, surface)
     usual, noise_mm2, used = _read_before(before, first, kept, after)
@@ -72,19 +72,13 @@ def compare_scans(
     common = float(used.mean())
     difference = Settled(pose, after.places_mm, after.distances_mm - usual, after.normals, after.valid)
     own_noise = _along(after, thin) + noise_mm2
-    changed: list[ChangedSkin] = []
-    while True:
-        centre = after.places_mm[used].mean(axis=0)
-        jacobian = difference.jacobian(centre)[used]
-        model = MisfitModel.of(thin.points_mm[used], own_noise[used], np.zeros((used.sum(), 0)), SCOUTS)
-        regions = weigh_regions(model, jacobian, difference, used, axes)
-        clear = [one for one in regions if one.is_clear]
-        if not clear or (used & ~clear[0].points).sum() < LEAST_COMMON:
-            break
-        changed.append(clear[0])
-        used = used & ~clear[0].points
-    mixture = model.adjust(jacobian, difference.distances_mm[used])
-    return ScanComparison(tuple(changed), common, centre, robot_from_ct, mixture)
+    places = after.places_mm[used]
+    centre, regions = places.mean(axis=0), list_regions(places, axes)
+    model = MisfitModel.of(thin.points_mm[used], own_noise[used], np.zeros((used.sum(), 0)), SCOUTS)
+    adjustment = Adjustment.of(model, difference.jacobian(centre)[used], regions=regions)
+    mixture = adjustment.step(difference.distances_mm[used])
+    changed = ChangedSkin.of(mixture, regions, places, axes)
+    return ScanComparison(changed, common, centre, robot_from_ct, mixture.likely())
 
 
 def _read_before(

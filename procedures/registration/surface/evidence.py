@@ -1,4 +1,4 @@
-"""Evidence that some points of a scan are displaced together: a look after a movement, a region of skin.
+"""Evidence that some points of a scan are displaced together: a look after a movement.
 
 The residuals are explained with and without a further displacement of unknown size, under the same hypotheses
 about the misfit. The ratio of the likelihoods (Bayes factor) says which is more likely, and it takes a misfit

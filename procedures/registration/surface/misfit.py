@@ -14,30 +14,38 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import product
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, solve_triangular
 from scipy.spatial.distance import cdist
 
-from ronna_hw.arrays import Array
+from ronna_hw.arrays import Array, Mask
 
 POSE = 6  # unknowns of a pose
-OFFSET_SD_MM = 0.1  # of the surface's level in the CT, the same everywhere (U)
+OFFSET_SD_MM = 0.15  # of the surface's level in the CT, the same everywhere (U)
 LEAST_NOISE_MM = 0.03  # of a surface by grey values, from point to point (U)
+CHANGED_MM = 1.0  # way of a region of skin that moved by itself, standard deviation (U)
+CHANGED_SHARE = 0.9  # of all scans have such a region (U)
+NEGLIGIBLE = 5e-4  # weight of the components that are left out in the end
 POSE_SD = np.array([1.0, 1.0, 1.0, 1e3, 1e3, 1e3])  # rad and mm: a turn that nothing shows stays finite
 
 
 class Roughness(StrEnum):
-    """Kinds of correlation by distance: Matérn's with smoothness one half and three halves."""
+    """Kinds of correlation by distance: Matérn's with smoothness one half, three and five halves."""
 
     ROUGH = "Matérn 1/2"
     SMOOTH = "Matérn 3/2"
+    SMOOTHER = "Matérn 5/2"
 
 
 _CORRELATIONS: dict[Roughness, Callable[[Array], Array]] = {
     Roughness.ROUGH: lambda ratio: np.exp(-ratio),
     Roughness.SMOOTH: lambda ratio: (1.0 + 3.0**0.5 * ratio) * np.exp(-(3.0**0.5) * ratio),
+    Roughness.SMOOTHER: lambda ratio: (
+        (1.0 + 5.0**0.5 * ratio + 5.0 / 3.0 * ratio**2) * np.exp(-(5.0**0.5) * ratio)
+    ),
 }
 
 
@@ -55,7 +63,12 @@ class Misfit:
 
 
 SIZES_MM = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-LENGTHS_MM = {Roughness.ROUGH: (15.0, 40.0, 100.0), Roughness.SMOOTH: (10.0, 20.0, 40.0)}
+# The longest are those of a head that swells as a whole: nearly a movement, so that little of it shows.
+LENGTHS_MM = {
+    Roughness.ROUGH: (15.0, 40.0, 100.0),
+    Roughness.SMOOTH: (10.0, 20.0, 40.0),
+    Roughness.SMOOTHER: (60.0, 150.0),
+}
 MISFITS = tuple(
     Misfit(size_mm, length_mm, roughness)
     for roughness, lengths_mm in LENGTHS_MM.items()
@@ -65,22 +78,40 @@ MISFITS = tuple(
 
 @dataclass(frozen=True, eq=False)
 class PoseMixture:
-    """Small movement of a scan as a mixture: weights (h,), shifts (h, 6) and covariances (h, 6, 6).
+    """Small movement of a scan as a mixture: weights (c,), shifts (c, 6) and covariances (c, 6, 6).
 
-    Rotation vector about a centre, rad, and translation, mm. `gains` (h, 6, n) is the effect of each residual
-    on the shift, without sign; `log_likelihoods` (h,) are restricted ones.
+    Rotation vector about a centre, rad, and translation, mm. Each component is a hypothesis about the misfit,
+    its number in `misfit` (c,), with a region of skin that moved besides by `moved_mm` (c,), its number in
+    `region` (c,); region 0 is none. `couplings` (c, 6, k) are the effects of k shared errors on the shift,
+    without sign.
     """
 
     weights: Array
     shifts: Array
     covariances: Array
-    gains: Array
-    log_likelihoods: Array
+    couplings: Array
+    misfit: NDArray[np.int64]
+    region: NDArray[np.int64]
+    moved_mm: Array
 
     @property
     def mean(self) -> Array:
         """Expected shift (6,)."""
         return np.asarray(self.weights @ self.shifts)
+
+    def likely(self) -> PoseMixture:
+        """Return the mixture without the components that together weigh next to nothing."""
+        order = np.argsort(-self.weights, kind="stable")
+        kept = np.sort(order[: int(np.searchsorted(np.cumsum(self.weights[order]), 1.0 - NEGLIGIBLE)) + 1])
+        return PoseMixture(
+            self.weights[kept] / self.weights[kept].sum(),
+            self.shifts[kept],
+            self.covariances[kept],
+            self.couplings[kept],
+            self.misfit[kept],
+            self.region[kept],
+            self.moved_mm[kept],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,20 +157,91 @@ class MisfitModel:
 
     def adjust(self, jacobian: Array, residuals_mm: Array) -> PoseMixture:
         """Find the shift that removes residuals (n,), which grow by `jacobian` (n, 6) per unit of shift."""
-        both = np.column_stack([jacobian, residuals_mm])
-        shifts, covariances, gains, likelihoods = [], [], [], []
-        for factor, log_determinant in zip(self.factors, self.log_determinants, strict=True):
-            weighted = cho_solve(factor, both, check_finite=False)
-            normal = jacobian.T @ weighted[:, :POSE] + np.diag(POSE_SD**-2)
+        return Adjustment.of(self, jacobian).step(residuals_mm)
+
+
+class _Whitened(NamedTuple):
+    """One hypothesis of an adjustment, all of it that does not depend on the residuals."""
+
+    factor: Array
+    pose: Array  # whitened columns (n, 6) of the Jacobian, (n, g) of the regions without what a movement does
+    skin: Array
+    by_pose: Array  # (6, n) shift by whitened residuals
+    by_skin: Array  # (6, g) shift by a region's way
+    spread: Array  # (g,) precision of that way, its prior counted in
+    log_weight: Array  # (g,)
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """Adjustment of a pose under all hypotheses, prepared for residuals of several steps.
+
+    Each of the regions (n, g) may have moved along its normal by an unknown way, at most one of them: which
+    one is part of the mixture.
+    """
+
+    hypotheses: tuple[_Whitened, ...]
+    covariances: Array
+    couplings: Array
+
+    @classmethod
+    def of(
+        cls,
+        model: MisfitModel,
+        jacobian: Array,
+        shared_mm: Array | None = None,
+        regions: Mask | None = None,
+    ) -> Self:
+        """Prepare for a `jacobian` (n, 6); `shared_mm` (n, k) are errors whose couplings are wanted."""
+        shared = np.zeros((len(jacobian), 0)) if shared_mm is None else shared_mm
+        moved = np.zeros((len(jacobian), 1))
+        chances = np.ones(1)
+        if regions is not None and regions.shape[1]:
+            moved = np.pad(CHANGED_MM * regions, ((0, 0), (1, 0)))
+            chances = np.append(
+                1.0 - CHANGED_SHARE, np.full(regions.shape[1], CHANGED_SHARE / regions.shape[1])
+            )
+        hypotheses, covariances, couplings = [], [], []
+        columns = np.column_stack([jacobian, shared, moved])
+        for (factor, _), determinant, prior in zip(
+            model.factors, model.log_determinants, model.log_prior, strict=True
+        ):
+            half = solve_triangular(factor, columns, lower=True, check_finite=False)
+            pose, errors, skin = np.split(half, [POSE, POSE + shared.shape[1]], axis=1)
+            normal = pose.T @ pose + np.diag(POSE_SD**-2)
             covariance = np.linalg.inv(normal)
-            shift = -covariance @ (jacobian.T @ weighted[:, POSE])
-            chi_square = residuals_mm @ (weighted[:, POSE] + weighted[:, :POSE] @ shift)
-            shifts.append(shift)
-            covariances.append(covariance)
-            gains.append(covariance @ weighted[:, :POSE].T)
-            likelihoods.append(-0.5 * (log_determinant + chi_square + np.linalg.slogdet(normal)[1]))
-        logs = np.array(likelihoods)
-        weights = np.exp(logs + self.log_prior - (logs + self.log_prior).max())
+            by_pose = covariance @ pose.T
+            by_error, by_skin = by_pose @ errors, by_pose @ skin
+            left = skin - pose @ by_skin  # of a region's way, what no movement explains
+            spread = 1.0 + np.einsum("ng,ng->g", skin, left)
+            log = determinant + np.linalg.slogdet(normal)[1] + np.log(spread)
+            hypotheses.append(
+                _Whitened(factor, pose, left, by_pose, by_skin, spread, prior + np.log(chances) - 0.5 * log)
+            )
+            covariances.append(covariance + np.einsum("ig,jg,g->gij", by_skin, by_skin, 1.0 / spread))
+            couplings.append(by_error - np.einsum("ig,gk->gik", by_skin / spread, left.T @ errors))
+        return cls(tuple(hypotheses), np.concatenate(covariances), np.concatenate(couplings))
+
+    def step(self, residuals_mm: Array) -> PoseMixture:
+        """Find the shift that removes residuals (n,)."""
+        logs, shifts, ways = [], [], []
+        for one in self.hypotheses:
+            half = solve_triangular(one.factor, residuals_mm, lower=True, check_finite=False)
+            by_residual = one.by_pose @ half
+            way = one.skin.T @ half / one.spread
+            unexplained = float(half @ (half - one.pose @ by_residual))
+            logs.append(one.log_weight - 0.5 * (unexplained - way**2 * one.spread))
+            shifts.append((one.by_skin * way - by_residual[:, None]).T)
+            ways.append(CHANGED_MM * way)
+        log = np.concatenate(logs)
+        weights = np.exp(log - log.max())
+        regions = len(ways[0])
         return PoseMixture(
-            weights / weights.sum(), np.array(shifts), np.array(covariances), np.array(gains), logs
+            weights / weights.sum(),
+            np.concatenate(shifts),
+            self.covariances,
+            self.couplings,
+            np.repeat(np.arange(len(self.hypotheses)), regions),
+            np.tile(np.arange(regions), len(self.hypotheses)),
+            np.concatenate(ways),
         )

@@ -10,7 +10,7 @@ from scipy.special import chdtr
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from ronna_hw.arrays import Array
 
-LIMIT_STEPS = 60  # bisections: the limit is then exact to rounding
+LIMIT_STEPS = 32  # bisections: the limit is then exact to a millionth of a millimetre
 FARTHEST_LIMIT = 20.0  # of the largest rms: no mixture has its 95 % limit beyond
 
 

@@ -71,7 +71,7 @@ def find_pose(points_mm: Array, view_mm: Array, surface: Surface, same_head_mm: 
     a trimmed iterative closest point ranks them. The best are settled on the surface. If none has a residual
     below `same_head_mm`, the best is returned for the caller to refuse.
     """
-    rows, _ = thin_points(points_mm, SEARCH_POINTS)
+    rows = thin_points(points_mm, SEARCH_POINTS)
     points, view = points_mm[rows], view_mm[rows]
     samples = surface.points_mm[:: max(1, len(surface.points_mm) // SEARCH_SAMPLES)]
     normals = surface.normals[:: max(1, len(surface.points_mm) // SEARCH_SAMPLES)]

@@ -51,7 +51,7 @@ def expect_error(
     targets = validate_targets(targets_ct_mm)
     if len(points) != len(normals):
         raise BAD_SURFACE_INPUT(f"{len(points)} points but {len(normals)} normals")
-    rows, _ = thin_points(points) if len(points) else (np.zeros(0, dtype=int), 0.0)
+    rows = thin_points(points)
     return _expect(
         points[rows],
         normals[rows],
@@ -120,7 +120,7 @@ def _rms_of(stations: Sequence[Station], targets: Array) -> float:
     if len(points) < FEWEST_POINTS:
         return float("inf")
     normals = np.concatenate([one.normals_ct for one in stations])
-    rows, _ = thin_points(points, PLANNED_POINTS)
+    rows = thin_points(points, PLANNED_POINTS)
     if len(rows) < FEWEST_POINTS:
         return float("inf")
     expected = _expect(points[rows], normals[rows], targets, USUAL, NOISE_MM, np.zeros((len(rows), 0)))

@@ -2,33 +2,113 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median
+from scipy.spatial import cKDTree
 
-from ronna_hw.arrays import Array
+from procedures.registration.surface.scan import SurfaceScan
+from procedures.registration.surface.settling import NEAR_MM, Settled
+from ronna_hw.arrays import Array, Mask
+from ronna_hw.robust_scale import MAD_TO_SIGMA
 
-MOST_POINTS = 300  # more say little more: neighbours share their misfit; the cost grows with the cube
+MOST_POINTS = 240  # more say little more: neighbours share their misfit; the cost grows with the cube
 FIRST_SPACING_MM = 3.0
 WIDER = 1.1
+MEDIAN_VARIANCE = 0.5 * np.pi  # of a median of many normal errors, relative to that of their mean
+FEWEST_FOR_SPREAD = 3
+
+# Hair: neighbours lie in depths up to its thickness, skin does not. Source: parametric heads.
+HAIR_REACH_MM, HAIR_NEIGHBOURS = 15.0, 16
+HAIR_SPREAD_MM, HAIR_NOISES, HAIR_SPREADS = 0.1, 0.5, 2.0  # limit: least, by the noise, by the usual spread
+ABOVE_QUANTILE, ABOVE_SHARE = 0.84, 1.5  # outwards from the median; relative to that limit
 
 
-def thin_points(points_mm: Array, most: int = MOST_POINTS) -> tuple[NDArray[np.int64], float]:
-    """Return the rows of about equally spaced points, in order of their place, and their spacing in mm.
+class MergedScan(NamedTuple):
+    """Scan with one point for its neighbours, the rows of these points in it, and which of them are hair."""
+
+    scan: SurfaceScan
+    rows: NDArray[np.int64]
+    is_hair: Mask
+
+
+def thin_points(points_mm: Array, most: int = MOST_POINTS) -> NDArray[np.int64]:
+    """Return the rows of about equally spaced points, in order of their place.
 
     Of all points in a cell of the grid, the one nearest to their mean is kept.
     """
-    order = np.lexsort(points_mm.T)
-    points = points_mm[order]
+    order, cell = _cells(points_mm, np.zeros(len(points_mm), dtype=np.int64), most)
+    return order[_middles(points_mm[order], cell)]
+
+
+def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS) -> MergedScan:
+    """Merge the points of each look in a cell to one at their median distance from the surface.
+
+    `placed` are all points of the scan near their pose. What a merged point may be off by is stated by its
+    neighbours or by their scatter, whichever is more. Points far from the surface are left out.
+    """
+    near = np.flatnonzero(placed.valid & (np.abs(placed.distances_mm) < NEAR_MM))
+    order, cell = _cells(scan.points_mm[near], scan.look[near], most)
+    ordered = near[order]
+    cells = np.arange(cell.max() + 1) if len(cell) else cell
+    rows = ordered[_middles(scan.points_mm[ordered], cell)]
+    directions = placed.normals @ placed.pose.rotation  # in the frame of the scan
+    noise_mm2 = np.einsum("ni,nij,nj->n", directions, scan.covariance_mm2, directions)
+    distances = placed.distances_mm[ordered]
+    level = np.asarray(median(distances, cell, cells))
+    scatter = MAD_TO_SIGMA * np.asarray(median(np.abs(distances - level[cell]), cell, cells))
+    counts = np.bincount(cell)
+    several = counts >= FEWEST_FOR_SPREAD
+    stated = np.bincount(cell, noise_mm2[ordered]) / counts
+    variance = np.where(several, MEDIAN_VARIANCE * np.maximum(stated, scatter**2), stated)
+    merged = scan.select(rows)
+    moved = (level - placed.distances_mm[rows])[:, None] * directions[rows]
+    scale = variance / counts / noise_mm2[rows]
+    merged = replace(
+        merged,
+        points_mm=merged.points_mm + moved,
+        covariance_mm2=merged.covariance_mm2 * scale[:, None, None],
+    )
+    return MergedScan(merged, rows, _mark_hair(placed, near, rows, noise_mm2[rows]))
+
+
+def _mark_hair(placed: Settled, near: NDArray[np.int64], rows: NDArray[np.int64], noise_mm2: Array) -> Mask:
+    """Mark the rows whose neighbours scatter in depth as hair does: both ways, or outwards."""
+    places, distances = placed.places_mm[near], placed.distances_mm[near]
+    count = min(HAIR_NEIGHBOURS, len(near))
+    apart, beside = cKDTree(places).query(placed.places_mm[rows], k=[*range(1, count + 1)])
+    depth = np.where(apart < HAIR_REACH_MM, distances[beside], np.nan)
+    level = np.nanmedian(depth, axis=1)
+    spread = MAD_TO_SIGMA * np.nanmedian(np.abs(depth - level[:, None]), axis=1)
+    above = np.nanquantile(depth, ABOVE_QUANTILE, axis=1) - level
+    limit = HAIR_SPREAD_MM + HAIR_NOISES * np.sqrt(noise_mm2) + HAIR_SPREADS * np.median(spread)
+    return np.asarray((spread > limit) | (above > ABOVE_SHARE * limit))
+
+
+def _cells(
+    points_mm: Array, look: NDArray[np.int64], most: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return an order of the points by place, and the cell (of one look) of each point in that order."""
+    order = np.lexsort((look, *points_mm.T))
+    points, looks = points_mm[order], look[order]
     spacing_mm = FIRST_SPACING_MM
     while True:
-        _, cell = np.unique(np.floor(points / spacing_mm).astype(int), axis=0, return_inverse=True)
-        cell = cell.reshape(-1)
-        if cell.max() < most:
-            break
+        place = np.column_stack([np.floor(points / spacing_mm).astype(int), looks])
+        cell = np.unique(place, axis=0, return_inverse=True)[1].reshape(-1)
+        if len(cell) == 0 or cell.max() < most:
+            return order, cell
         spacing_mm *= WIDER
+
+
+def _middles(points_mm: Array, cell: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for each cell the row of the point nearest to the mean of its points, in order of place."""
+    if len(cell) == 0:
+        return cell
     counts = np.bincount(cell)
-    mean = np.column_stack([np.bincount(cell, one) for one in points.T]) / counts[:, None]
-    distance = np.linalg.norm(points - mean[cell], axis=1)
+    mean = np.column_stack([np.bincount(cell, one) for one in points_mm.T]) / counts[:, None]
+    distance = np.linalg.norm(points_mm - mean[cell], axis=1)
     by_cell = np.lexsort((distance, cell))  # stable: equal distances keep the order of places
-    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    return order[np.sort(by_cell[first])], spacing_mm
+    return np.asarray(by_cell[np.concatenate([[0], np.cumsum(counts)[:-1]])], dtype=np.int64)

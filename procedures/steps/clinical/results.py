@@ -27,7 +27,7 @@ from procedures.guards.stability import SeenUnchanged, Subject
 from procedures.journal.results import FramedPose, Matrix3, StepResult, Values
 from procedures.operator.question import PredictedError
 from procedures.registration import TwoWayTable
-from procedures.registration.surface.checks import ChangedSkin
+from procedures.registration.surface.changed_skin import ChangedSkin
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.arrays import Array
@@ -333,8 +333,7 @@ class RegisteredBySurface(RegisteredRobot, kind="surface_registration"):
     misfit_mm: float = Field(description="Standard deviation of the skin's misfit, as the scan shows it.")
     misfit_length_mm: float = Field(description="Length over which the misfit is alike.")
     side_proven: bool = Field(description="Whether the mirror image fits clearly worse.")
-    changed: tuple[SkinRegion, ...] = Field(default=(), description="Regions left out: they have moved.")
-    doubted: tuple[SkinRegion, ...] = Field(default=(), description="Regions that may have moved.")
+    changed: tuple[SkinRegion, ...] = Field(default=(), description="Regions that have probably moved.")
 
     @property
     def can_follow(self) -> bool:

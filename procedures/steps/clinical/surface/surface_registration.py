@@ -73,7 +73,7 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     _accept(context, plan, found, predictions, left_out)
     kept = found.residuals_mm[~found.excluded]
     worst = max(predictions, key=lambda one: one.rms_mm)
-    changed = tuple(map(SkinRegion.of, found.changed))
+    changed = () if found.changed is None else (SkinRegion.of(found.changed),)
     return Outcome(
         RegisteredBySurface(
             robot_from_ct=FramedPose.of(found.robot_from_ct),
@@ -91,7 +91,6 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
             misfit_length_mm=found.misfit_length_mm,
             side_proven=found.side_proven,
             changed=changed,
-            doubted=tuple(map(SkinRegion.of, found.doubted)),
         ),
         summary=f"predicted target error {worst.rms_mm:.2f} mm rms; the skin differs by "
         f"{found.misfit_mm:.2f} mm"

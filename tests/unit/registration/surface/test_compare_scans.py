@@ -38,7 +38,7 @@ def test_a_cheek_that_swelled_is_found_with_its_size(heads, scan_of):
     made = scan_of(heads[0], 22, count=300)
     found = compare_scans(made.scan, again(made, swell), heads[0], made.truth)
     assert found.changed
-    assert 0.6 < found.changed[0].shift_mm < 1.6
+    assert 0.6 < found.changed.shift_mm < 1.6
     moved, _ = found.movement_at(TARGET_MM)
     assert np.linalg.norm(moved) < 0.3
 

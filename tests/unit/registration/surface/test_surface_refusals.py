@@ -95,20 +95,21 @@ def test_a_head_that_moved_between_two_looks_is_refused(heads, scan_of):
 
 def test_skin_that_moved_over_a_third_is_refused_by_name(heads, scan_of):
     made = scan_of(
-        heads[0], 8, misfit_mm=0.1, outwards=lambda places: np.where(places[:, 0] > 30.0, 1.5, 0.0)
+        heads[0], 8, misfit_mm=0.1, outwards=lambda places: np.where(places[:, 0] > 25.0, 1.5, 0.0)
     )
     with raises(SKIN_CHANGED, match="left temple"):
         register_surface(made.scan, heads[0], made.start)
 
 
-def test_eyes_that_swell_are_excluded_by_name(heads, scan_of):
+def test_eyes_that_swell_are_named(heads, scan_of):
     def swell(places):
         middle = np.abs(places[:, 0]) < 55.0
         return np.where(middle & (places[:, 1] < -40.0) & (np.abs(places[:, 2] + 36.0) < 16.0), 1.5, 0.0)
 
     made = scan_of(heads[0], 9, count=300, misfit_mm=0.1, outwards=swell)
     found = register_surface(made.scan, heads[0], made.start)
-    assert "eyes" in {part for one in found.changed for part in one.parts}
+    assert found.changed is not None
+    assert "eyes" in found.changed.parts
     assert np.linalg.norm(made.errors_mm(found.robot_from_ct), axis=1).max() < 0.6
 
 

@@ -1,0 +1,78 @@
+"""Regions of skin that may have moved by themselves since the CT, and what the adjustment says about them.
+
+Pressed, taped or swollen skin moved over a region with an edge, which no smooth misfit explains. Every region
+of a list takes part in the mixture of the adjustment as one that moved by an unknown way, or not (`misfit`).
+Nothing is decided before: a region that half explains the scan widens the limits by half.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from procedures.registration.surface.misfit import PoseMixture
+from procedures.registration.surface.regions import HeadAxes
+from ronna_hw.arrays import Array, Mask
+
+SIDE_SHARES = (0.2, 1.0 / 3.0, 0.45)  # of the scan, as when the head lay on one side
+CAPS_APART_MM = 25.0
+DISC_RADII_MM = (15.0, 30.0)
+FEWEST_IN_REGION = 6
+LEAST_CHANGE_MM = (
+    0.2  # expected, the chance that it moved counted in; a smaller one is a misfit like any other
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedSkin:
+    """Skin that is probably not where the CT shows it: its parts by name, its points in the scan.
+
+    `shift_mm` is the way outwards of the region that most likely moved.
+    """
+
+    parts: tuple[str, ...]
+    shift_mm: float
+    points: Mask
+
+    @classmethod
+    def of(cls, mixture: PoseMixture, regions: Mask, places_mm: Array, axes: HeadAxes) -> Self | None:
+        """Read from an adjustment which of its points (n, 3) have moved; it had `regions` (n, g)."""
+        count = regions.shape[1] + 1
+        ways_mm = np.bincount(mixture.region, mixture.weights * mixture.moved_mm, count)[1:]
+        shift_mm = regions @ ways_mm
+        moved = np.abs(shift_mm) > LEAST_CHANGE_MM
+        if not moved.any():
+            return None
+        likeliest = int(np.bincount(mixture.region, mixture.weights, count)[1:].argmax())
+        rows = mixture.region == likeliest + 1
+        shift = float(np.average(mixture.moved_mm[rows], weights=mixture.weights[rows]))
+        return cls(tuple(sorted(set(axes.name_parts(places_mm[moved]).tolist()))), shift, moved)
+
+
+def list_regions(places_mm: Array, axes: HeadAxes) -> Mask:
+    """List regions (n, g) of a scan that may have moved as one: parts by name, sides, caps, and discs."""
+    names = axes.name_parts(places_mm)
+    groups = [names == one for one in np.unique(names)]
+    ways_mm = [sign * along for along in places_mm.T for sign in (1.0, -1.0)]
+    ways_mm += [
+        np.linalg.norm(places_mm - places_mm[row], axis=1) for row in _spread(places_mm, CAPS_APART_MM)
+    ]
+    groups.extend(way_mm < np.quantile(way_mm, share) for way_mm in ways_mm for share in SIDE_SHARES)
+    tree = cKDTree(places_mm)
+    for radius_mm in DISC_RADII_MM:
+        for rows in tree.query_ball_point(places_mm[_spread(places_mm, radius_mm)], radius_mm):
+            groups.append(np.isin(np.arange(len(places_mm)), rows))
+    groups = [one for one in groups if FEWEST_IN_REGION <= one.sum() <= len(places_mm) // 2]
+    return np.array(groups, dtype=bool).reshape(-1, len(places_mm)).T
+
+
+def _spread(places_mm: Array, apart_mm: float) -> list[int]:
+    """Return rows of points that are at least this far apart."""
+    kept: list[int] = []
+    for row, place in enumerate(places_mm):
+        if not kept or np.linalg.norm(places_mm[kept] - place, axis=1).min() > apart_mm:
+            kept.append(row)
+    return kept
