@@ -19,7 +19,7 @@ from ronna_hw.arrays import Array, Mask
 
 SIDE_SHARES = (0.2, 1.0 / 3.0, 0.45)  # of the scan, as when the head lay on one side
 CAPS_APART_MM = 25.0
-DISC_RADII_MM = (15.0, 30.0)
+DISC_RADII_MM, DISCS_APART = (15.0, 30.0), 0.7  # apart relative to the radius
 FEWEST_IN_REGION = 6
 LEAST_CHANGE_MM = (
     0.2  # expected, the chance that it moved counted in; a smaller one is a misfit like any other
@@ -63,7 +63,7 @@ def list_regions(places_mm: Array, axes: HeadAxes) -> Mask:
     groups.extend(way_mm < np.quantile(way_mm, share) for way_mm in ways_mm for share in SIDE_SHARES)
     tree = cKDTree(places_mm)
     for radius_mm in DISC_RADII_MM:
-        for rows in tree.query_ball_point(places_mm[_spread(places_mm, radius_mm)], radius_mm):
+        for rows in tree.query_ball_point(places_mm[_spread(places_mm, DISCS_APART * radius_mm)], radius_mm):
             groups.append(np.isin(np.arange(len(places_mm)), rows))
     groups = [one for one in groups if FEWEST_IN_REGION <= one.sum() <= len(places_mm) // 2]
     return np.array(groups, dtype=bool).reshape(-1, len(places_mm)).T

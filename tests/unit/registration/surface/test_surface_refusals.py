@@ -95,7 +95,7 @@ def test_a_head_that_moved_between_two_looks_is_refused(heads, scan_of):
 
 def test_skin_that_moved_over_a_third_is_refused_by_name(heads, scan_of):
     made = scan_of(
-        heads[0], 8, misfit_mm=0.1, outwards=lambda places: np.where(places[:, 0] > 25.0, 1.5, 0.0)
+        heads[0], 8, misfit_mm=0.1, outwards=lambda places: np.where(places[:, 0] > 15.0, 1.5, 0.0)
     )
     with raises(SKIN_CHANGED, match="left temple"):
         register_surface(made.scan, heads[0], made.start)
