@@ -92,6 +92,15 @@ SCANS_APART = ErrorCode(
 )
 
 
+SPHERE_MOVED = ErrorCode(
+    "SRF-012",
+    RefusedError,
+    "A sphere is not where the skin, and other spheres if there are any, have it.",
+    "Check whether its screw has moved since the CT, or the skin around the scan; then localize again. If the "
+    "screw has moved, register by the others, or by the skin alone, in a new run with such a plan.",
+)
+
+
 BAD_SCAN = ErrorCode(
     "SRF-020",
     DataError,
