@@ -46,8 +46,10 @@ def errors_by_screws(heads, scan_of, counts, seeds=range(6)):
 def test_each_screw_lowers_the_error_at_deep_targets_and_the_prediction_says_so(heads, scan_of):
     found = errors_by_screws(heads, scan_of, (0, 1, 3))
     errors, predicted = ([found[count][one] for count in (0, 1, 3)] for one in (0, 1))
-    assert errors[1] < 0.7 * errors[0] and errors[2] < 0.4 * errors[0], found
-    assert errors == sorted(errors, reverse=True) and predicted == sorted(predicted, reverse=True), found
+    assert errors[1] < 0.7 * errors[0], found
+    assert errors[2] < 0.4 * errors[0], found
+    assert errors == sorted(errors, reverse=True), found
+    assert predicted == sorted(predicted, reverse=True), found
     assert 0.5 < errors[2] / predicted[2] < 1.6, found
 
 
