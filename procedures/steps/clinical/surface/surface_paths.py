@@ -1,4 +1,4 @@
-"""Check of all paths of a case without markers: looks at the skin in the place of looks at spheres."""
+"""Check of all paths of a case that scans the skin: looks at it, besides those at spheres."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.planning.line_of_sight import SkinSight
 from procedures.planning.skin_views import choose_views, order_views
 from procedures.planning.visits import ArmSetting, Reached
 from procedures.registration.surface.errors import NO_STATIONS
@@ -24,7 +23,6 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surroundings import READS
 from procedures.steps.conditions import needs_guide_unmounted
-from procedures.strategies.skin_looks import SkinLooks
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
 
@@ -54,9 +52,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
             "the arm can look at few places on the skin", limit=f"{FEWEST_VIEWS} looks", got=str(len(views))
         )
     context.progress(0.2, "checking every path")
-    setting = replace(setting, strategy=SkinLooks(views))
-    sight = SkinSight.of(context.workcell.calibrations.stereo_head)
-    return check_all_paths(context, setting, sight, np.empty((0, 3)), range(len(views)))
+    return check_all_paths(context, replace(setting, skin_looks=views))
 
 
 def choose_by_error(
