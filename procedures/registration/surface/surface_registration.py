@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from procedures.registration.error_sources import LINE, SKIN, SPHERES
 from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.surface.checks import (
@@ -34,7 +35,7 @@ from procedures.registration.surface.checks import (
     weigh_regions,
 )
 from procedures.registration.surface.evidence import SCOUTS
-from procedures.registration.surface.misfit import MISFITS, Misfit, MisfitModel, PoseMixture
+from procedures.registration.surface.misfit import LEAST_NOISE_MM, MISFITS, Misfit, MisfitModel, PoseMixture
 from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
@@ -79,6 +80,8 @@ class SurfaceRegistration:
     centre_ct_mm: Array
     mixture: PoseMixture = field(repr=False)
     along_mm: Array = field(repr=False)  # (m, k) displacement of the used points by the shared errors
+    noise_mm2: Array = field(repr=False)  # (m,) of the used points, along their normals
+    sphere_noise_mm2: Array = field(repr=False)  # (3k, 3k) of the looks at spheres
     sphere_residuals_mm: Array
     spheres: tuple[SphereAlone, ...]
 
@@ -108,6 +111,29 @@ class SurfaceRegistration:
                 covariances + crossed + np.swapaxes(crossed, 1, 2) + shared @ shared.T + independent_mm2
             )
         return SurfacePrediction(self.mixture.weights, self.mixture.shifts @ slope.T, covariances)
+
+    def split(self, target_ct_mm: ArrayLike, arm_at_target: Sources = ()) -> dict[str, float]:
+        """Return the mean square error in mm2 at a target by source; the sum is that of `predict`.
+
+        The skin has what the measurement and the arm do not explain, the spread of the hypotheses included.
+        """
+        target = validate_targets(target_ct_mm)[0]
+        slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
+        gains, weights = slope @ self.mixture.gains, self.mixture.weights  # (h, 3, rows)
+        by_points, by_spheres = np.split(gains, [len(self.noise_mm2)], axis=2)
+        shares = {LINE: float(weights @ np.sum(by_points**2 * self.noise_mm2, axis=(1, 2)))}
+        if self.spheres:
+            mean_mm2 = np.einsum("hij,jk,hik->h", by_spheres, self.sphere_noise_mm2, by_spheres)
+            shares[SPHERES] = float(weights @ mean_mm2)
+        first = 0
+        for one in arm_at_target:
+            shared, independent_mm2 = at_target([one])
+            columns = gains @ self.along_mm[:, first : first + shared.shape[1]] + shared
+            first += shared.shape[1]
+            mean_mm2 = float(weights @ np.sum(columns**2, axis=(1, 2)) + np.trace(independent_mm2))
+            shares[one.source] = shares.get(one.source, 0.0) + mean_mm2
+        rest_mm2 = self.predict(target, arm_at_target).rms_mm ** 2 - sum(shares.values())
+        return {SKIN: max(rest_mm2, 0.0), **shares}
 
 
 def register_surface(
@@ -158,6 +184,8 @@ def register_surface(
         centre,
         mixture,
         along,
+        _noise_mm2(found, thin)[used] + LEAST_NOISE_MM**2,
+        spheres.covariance_mm2,
         spheres.residuals_mm(found.pose).reshape(-1, 3),
         judged,
     )
@@ -221,7 +249,7 @@ def _model(
     """Return the model of the used points and of spheres, their Jacobian, and the shared errors along it."""
     spheres = spheres or LookedSpheres.none()
     directions = found.normals @ found.pose.rotation  # in the robot frame
-    noise = np.einsum("ni,nij,nj->n", directions, thin.covariance_mm2, directions)[used]
+    noise = _noise_mm2(found, thin)[used]
     along, centre = columns.along(directions)[used], found.places_mm[used].mean(axis=0)
     unknown = [CHANGED_MM * one.points[used].astype(float) for one in doubted]
     shared, jacobian = np.column_stack([along, *unknown]), found.jacobian(centre)[used]
@@ -237,6 +265,11 @@ def _model(
     )
     jacobian = np.vstack([jacobian, spheres.jacobian(found.pose, centre)])
     return model, jacobian, np.vstack([along, columns.of_spheres()])
+
+
+def _noise_mm2(found: Settled, thin: SurfaceScan) -> Array:
+    directions = found.normals @ found.pose.rotation  # in the robot frame
+    return np.asarray(np.einsum("ni,nij,nj->n", directions, thin.covariance_mm2, directions))
 
 
 def _adjust(

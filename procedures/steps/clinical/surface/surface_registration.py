@@ -48,9 +48,6 @@ from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
 from ronna_hw.text import format_count
 
-# Sources of error: they are adjusted together.
-SKIN = "skin and its misfit, scan and arm"
-SKIN_AND_SPHERES = "skin and its misfit, scan, spheres and arm"
 SLIPPING = "a head that slips in its clamp, of which the tracker sees the frame alone"
 LEFT_AND_RIGHT = (
     "The scan cannot tell the skin of this head from its mirror image. Compare a sign on one side of the "
@@ -192,8 +189,8 @@ def _predict(
     if planned.fusion_error_mm is not None:
         added_mm2[FUSION] = np.eye(3) * planned.fusion_error_mm**2 / 3.0
     total = replace(by_surface, covariances_mm2=by_surface.covariances_mm2 + sum(added_mm2.values()))
-    shares = {SKIN if looked is None else SKIN_AND_SPHERES: by_surface.rms_mm} | {
-        name: float(np.sqrt(np.trace(one))) for name, one in added_mm2.items()
+    shares_mm2 = found.split(planned.target_mm, arm) | {
+        name: float(np.trace(one)) for name, one in added_mm2.items()
     }
     return Prediction(
         target=planned.id,
@@ -202,7 +199,7 @@ def _predict(
         confidence=DEFAULT_CONFIDENCE,
         formula="mixture over the misfits of the skin",
         excluded=f"{NOT_PREDICTED}; {SLIPPING}",
-        budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in shares.items()),
+        budget=tuple(ErrorShare(source=name, rms_mm=mean_mm2**0.5) for name, mean_mm2 in shares_mm2.items()),
     )
 
 
