@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from procedures.reporting.files import Picture, load_pictures
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.correspondence import SurfaceStart
-from procedures.steps.clinical.fiducial_localization import SkinInCt
+from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
+from procedures.steps.clinical.surface.skin_pictures import FULL_COLOUR_MM
+
+LEAST_TOLD = 0.001  # of the boundary
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,12 @@ class SurfaceSection:
     scan: ScannedSurface | None
     registration: RegisteredBySurface | None
     pictures: tuple[Picture, ...]
+    full_colour_mm: float = FULL_COLOUR_MM
+
+    @property
+    def told(self) -> tuple[ExcludedSkin, ...]:
+        """Parts of the boundary that are not used, without those that are hardly there."""
+        return tuple(one for one in self.skin.excluded if one.share >= LEAST_TOLD)
 
     @property
     def points(self) -> int:

@@ -37,11 +37,10 @@ from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import OTHER_VERSION
 from ronna_hw.vectors import JointVector
 
+NOT_PREDICTED_OF_TOOL = "an instrument that is bent, or longer than its stop says"
 # Rms at the spheres that remains after a rigid fit, as measured in docs/reference/scanner-faults.md.
-NOT_PREDICTED = (
-    "an instrument that is bent, or longer than its stop says; a patient who moved during the scan: 0.09 mm "
-    "at the spheres for a motion by 0.3 mm"
-)
+PATIENT_MOVED = "a patient who moved during the scan: 0.09 mm at the spheres for a motion by 0.3 mm"
+NOT_PREDICTED = f"{NOT_PREDICTED_OF_TOOL}; {PATIENT_MOVED}"
 
 
 Numbers6 = tuple[float, float, float, float, float, float]

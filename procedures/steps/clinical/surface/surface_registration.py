@@ -33,7 +33,7 @@ from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import against_margins, exclude_beyond_margin, picture_of
 from procedures.steps.clinical.results import (
-    NOT_PREDICTED,
+    NOT_PREDICTED_OF_TOOL,
     ErrorShare,
     Prediction,
     RegisteredBySurface,
@@ -43,6 +43,7 @@ from procedures.steps.clinical.results import (
 from procedures.steps.clinical.room import ROOM_READS
 from procedures.steps.clinical.sphere_pairs import LookedPairs
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surface.skin_pictures import RESIDUALS_PICTURE, draw_residuals
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
@@ -74,6 +75,7 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     planned = [plan.trajectory(name) for name in context.served_trajectories]
     predictions = tuple(_predict(context, scanned, looked, found, one) for one in planned)
     left_out = exclude_beyond_margin(context, plan, predictions)
+    context.keep_picture(RESIDUALS_PICTURE, draw_residuals(skin_of(context), found))
     _accept(context, plan, found, predictions, left_out)
     kept = found.residuals_mm[~found.excluded]
     worst = max(predictions, key=lambda one: one.rms_mm)
@@ -198,7 +200,7 @@ def _predict(
         limit_mm=total.limit_mm(DEFAULT_CONFIDENCE),
         confidence=DEFAULT_CONFIDENCE,
         formula="mixture over the misfits of the skin",
-        excluded=f"{NOT_PREDICTED}; {SLIPPING}",
+        excluded=f"{NOT_PREDICTED_OF_TOOL}; a patient who moved during the CT; {SLIPPING}",
         budget=tuple(ErrorShare(source=name, rms_mm=mean_mm2**0.5) for name, mean_mm2 in shares_mm2.items()),
     )
 

@@ -26,8 +26,8 @@ from procedures.steps.clinical.path_check import (
 from procedures.steps.clinical.relocalization import arriving, begin_looks, localize_spheres
 from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedSurface
 from procedures.steps.clinical.room import ROOM_READS, check_room
-from procedures.steps.clinical.surface.coverage_picture import draw_coverage
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, draw_coverage
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.strategies.skin_looks import SKIN
@@ -112,7 +112,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     points_mm = np.concatenate([line.points_mm for line in lines])
     in_ct = np.asarray(context.result(SurfaceStart).robot_from_ct.transform.inverse().apply(points_mm))
     covered, picture = draw_coverage(skin_of(context), in_ct)
-    context.keep_picture("surface-coverage.png", picture)
+    context.keep_picture(COVERAGE_PICTURE, picture)
     return Outcome(
         ScannedSurface.without_spheres(
             coarse_offset_mm=vector3(np.mean(offsets_mm, axis=0)),
