@@ -228,7 +228,11 @@ def find_unseen(expected: Expected, reading: RoomReading) -> errors.PatientUnsee
     """
     seen_mm = reading.spheres_mm
     head = HeadSeen.of(expected)
-    if not len(seen_mm) or len(expected.spheres_mm) < LEAST_POINTS or (head is not None and not head.by_frame):
+    if (
+        not len(seen_mm)
+        or len(expected.spheres_mm) < LEAST_POINTS
+        or (head is not None and not head.by_frame)
+    ):
         return None
     apart = np.linalg.norm(seen_mm[:, None] - expected.spheres_mm[None], axis=2).min(axis=1)
     ghosts = find_ghosts(expected.spheres_mm, reading.markers_mm, seen_mm, expected.sensors_mm)
