@@ -8,11 +8,13 @@ from pathlib import Path, PurePath
 from console.errors import UNRELIABLE_RUN
 from console.hub import Hub
 from console.panels.ct_planes import ct_planes
-from console.panels.html import evidence_table, head_row, tag, text
+from console.panels.html import evidence_table, head_row, table, tag, text
+from console.panels.question import caption_of_skin
 from procedures.engine.case_view import FAULT, FINDING, REFUSED, CaseView, Notice
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.operator.question import PredictedError
 from procedures.reporting.case_figures import CaseFigures
+from procedures.reporting.sections.surface import SURFACE_PICTURES, SurfaceSection
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.host.files import open_regular
 from ronna_hw.log_output import LOG_FILE
@@ -36,8 +38,9 @@ def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
     decided = {item.target for item in asked}
     valid = () if figures is None else figures.predictions
     predictions = [*asked, *(item for item in valid if item.target not in decided)]
+    on_skin = "" if figures is None or figures.surface is None else skin(figures.surface)
     if not predictions:
-        return tag("p", "No registration yet.", class_="dim")
+        return tag("p", "No registration yet.", class_="dim") + on_skin
     rows = "".join(
         tag(
             "tr",
@@ -56,7 +59,40 @@ def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
     open_words = f"Not accepted yet: {', '.join(item.target for item in asked)}."
     is_open = tag("p", text(open_words), class_="warn") if asked else ""
     tables = "" if figures is None or asked else "".join(map(evidence_table, figures.tables))
-    return is_open + total + tables + tag("p", NOTE, class_="dim")
+    return is_open + total + on_skin + tables + tag("p", NOTE, class_="dim")
+
+
+def skin(surface: SurfaceSection) -> str:
+    """Show what is known of the skin: landmarks, scan, and how it differs from the CT."""
+    start, scan, fit = surface.start, surface.scan, surface.registration
+    parts = []
+    if start is not None:
+        rows = [(one.landmark, f"{one.off_mm:.1f}") for one in start.landmarks]
+        parts.append(table(("landmark", "mm from its place by the fit"), rows, "Landmarks touched"))
+    if scan is not None:
+        words = (
+            f"Scan: {len(scan.lines)} lines, {surface.points} points, {scan.covered:.0%} of the skin above "
+            "the jaw within 10 mm of a point."
+        )
+        parts.append(tag("p", text(words)))
+        parts += [
+            tag("p", text(f"Look {number} shows no line: {reason}."), class_="warn")
+            for number, reason in scan.dark.items()
+        ]
+    if fit is not None:
+        words = f"The skin differs from the CT by {fit.misfit_mm:.2f} mm over {fit.misfit_length_mm:.0f} mm."
+        parts.append(tag("p", text(words)))
+        for regions, words, kind in (
+            (fit.changed, "Left out, it has moved", "warn"),
+            (fit.doubted, "It may have moved", "dim"),
+        ):
+            parts += [
+                tag("p", text(f"{words}: {', '.join(one.parts)}, {one.shift_mm:+.2f} mm."), class_=kind)
+                for one in regions
+            ]
+        if not fit.side_proven:
+            parts.append(tag("p", "Left and right were compared by the operator: the skin cannot tell."))
+    return "".join(parts)
 
 
 def _describe_limit(predicted: PredictedError) -> str:
@@ -95,8 +131,10 @@ def pictures(figures: CaseFigures | None) -> str:
 
 def _render_picture(name: str) -> str:
     what = PurePath(name).stem.removeprefix("stereo-").replace("-", ", sphere ")
-    alt_text = f"{text(what)}: both cameras, detected outline overlaid"
-    image = f'<img src="/picture/{text(name)}" alt="{alt_text}" loading="lazy">'
+    alt_text = f"{what}: both cameras, detected outline overlaid"
+    if name.startswith(SURFACE_PICTURES):
+        what = alt_text = caption_of_skin(name)
+    image = f'<img src="/picture/{text(name)}" alt="{text(alt_text)}" loading="lazy">'
     return tag("figure", image + tag("figcaption", text(what)))
 
 

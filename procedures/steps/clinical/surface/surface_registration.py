@@ -15,7 +15,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Evidence, Picture, Question, Topic
 from procedures.planning.guide import direction_covariance_mm2, instrument_covariance_mm2
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration.error_sources import DIRECTION, FUSION, GUIDE_TIP, INSTRUMENT, STEREO_HEAD
@@ -75,8 +75,8 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     planned = [plan.trajectory(name) for name in context.served_trajectories]
     predictions = tuple(_predict(context, scanned, looked, found, one) for one in planned)
     left_out = exclude_beyond_margin(context, plan, predictions)
-    context.keep_picture(RESIDUALS_PICTURE, draw_residuals(skin_of(context), found))
-    _accept(context, plan, found, predictions, left_out)
+    picture = context.keep_picture(RESIDUALS_PICTURE, draw_residuals(skin_of(context), found))
+    _accept(context, plan, found, predictions, left_out, picture)
     kept = found.residuals_mm[~found.excluded]
     worst = max(predictions, key=lambda one: one.rms_mm)
     changed = tuple(map(SkinRegion.of, found.changed))
@@ -211,6 +211,7 @@ def _accept(
     found: SurfaceRegistration,
     predictions: tuple[Prediction, ...],
     left_out: Mapping[str, str],
+    residuals: Picture,
 ) -> None:
     """Have the operator accept the registration for each target. Raises PRO-002."""
     if not found.side_proven:
@@ -242,11 +243,24 @@ def _accept(
                 )
                 + f"\nnot included: {predicted.excluded}",
                 trajectory=predicted.target,
-                evidence=(error_budget.budget_table(predicted),),
+                evidence=(error_budget.budget_table(predicted), *_tabulate_regions(found)),
                 predicted=against,
-                pictures=picture_of(context, predicted.target),
+                pictures=(*picture_of(context, predicted.target), residuals),
             )
         )
+
+
+def _tabulate_regions(found: SurfaceRegistration) -> tuple[Evidence, ...]:
+    """Tabulate the regions of skin that were left out, or whose shift counts as unknown."""
+    rows = tuple(
+        (", ".join(one.parts), f"{one.shift_mm:.2f}", words)
+        for regions, words in ((found.changed, "left out"), (found.doubted, "its shift counts as unknown"))
+        for one in regions
+    )
+    head = ("skin", "moved outwards, mm", "in the registration")
+    return (Evidence(title="Skin that has moved since the CT, or may have", head=head, rows=rows),) * bool(
+        rows
+    )
 
 
 def format_fit(found: SurfaceRegistration) -> str:
