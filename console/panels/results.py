@@ -82,14 +82,13 @@ def skin(surface: SurfaceSection) -> str:
     if fit is not None:
         words = f"The skin differs from the CT by {fit.misfit_mm:.2f} mm over {fit.misfit_length_mm:.0f} mm."
         parts.append(tag("p", text(words)))
-        for regions, words, kind in (
-            (fit.changed, "Left out, it has moved", "warn"),
-            (fit.doubted, "It may have moved", "dim"),
-        ):
-            parts += [
-                tag("p", text(f"{words}: {', '.join(one.parts)}, {one.shift_mm:+.2f} mm."), class_=kind)
-                for one in regions
-            ]
+        parts += [
+            tag("p", text(f"Left out: {', '.join(one.parts)}, moved {one.shift_mm:+.2f} mm."), class_="warn")
+            for one in fit.changed
+        ]
+        if fit.doubted:
+            names = ", ".join(dict.fromkeys(name for one in fit.doubted for name in one.parts))
+            parts.append(tag("p", text(f"Its shift counts as unknown at {names}."), class_="dim"))
         if not fit.side_proven:
             parts.append(tag("p", "Left and right were compared by the operator: the skin cannot tell."))
     return "".join(parts)
@@ -132,10 +131,11 @@ def pictures(figures: CaseFigures | None) -> str:
 def _render_picture(name: str) -> str:
     what = PurePath(name).stem.removeprefix("stereo-").replace("-", ", sphere ")
     alt_text = f"{what}: both cameras, detected outline overlaid"
-    if name.startswith(SURFACE_PICTURES):
+    is_skin = name.startswith(SURFACE_PICTURES)
+    if is_skin:
         what = alt_text = caption_of_skin(name)
     image = f'<img src="/picture/{text(name)}" alt="{text(alt_text)}" loading="lazy">'
-    return tag("figure", image + tag("figcaption", text(what)))
+    return tag("figure", image + tag("figcaption", text(what)), class_="skin" if is_skin else "")
 
 
 def cuts(view: CaseView, figures: CaseFigures | None) -> str:
