@@ -10,7 +10,8 @@ import numpy as np
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.planning.line_of_sight import SkinSight
-from procedures.planning.skin_views import choose_views, order_views
+from procedures.planning.skin_tour import tour_views
+from procedures.planning.skin_views import choose_views
 from procedures.planning.visits import ArmSetting, Reached
 from procedures.registration.surface.errors import NO_STATIONS
 from procedures.registration.surface.regions import HeadAxes
@@ -28,8 +29,9 @@ from procedures.strategies.skin_looks import SkinLooks
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
 
-CANDIDATES, VIEWS = 36, 18  # looks that are compared, and taken: 54 lines, three to a look
-LOOK_S = 3.0  # theatre time of a look
+CANDIDATES, VIEWS = 36, 20  # looks that are compared, and among which those on a short way are taken
+LOOK_S = 2.1  # theatre time at a look, of four lines
+SCAN_S = 54.0  # theatre time of all looks and the ways to them
 # Safety against a look from which more is expected than its lines show (U).
 SEEN_MM = 12.0  # of the skin around the middle of a look: half of a line
 FEWEST_VIEWS = 8  # with fewer the scan would be refused for its coverage
@@ -64,7 +66,7 @@ def choose_by_error(
 ) -> tuple[Transform, ...]:
     """Return the views that lower the expected error at the targets (n, 3), CT mm, most, as they are taken.
 
-    The rest of the scan's time is for the first of the others: they are spread over the skin.
+    The rest of the scan's time is for others, which are spread over the skin, as far as they are on the way.
     """
     ct_from_robot, points_mm = setting.robot_from_ct.inverse(), skin.points_mm
     stations = []
@@ -74,7 +76,8 @@ def choose_by_error(
         stations.append(Station(points_mm[near], skin.normals[near], LOOK_S))
     best = choose_stations(stations, targets_mm, worth_mm_per_s=0.0).stations
     chosen = [*best, *(number for number in range(len(views)) if number not in best)][:VIEWS]
-    return tuple(one.visit.pose for one in order_views(setting, [views[number] for number in chosen]))
+    tour = tour_views(setting, [views[number] for number in chosen], len(best), LOOK_S, SCAN_S)
+    return tuple(one.visit.pose for one in tour)
 
 
 STEP = StepSpec(

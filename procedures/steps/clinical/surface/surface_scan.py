@@ -38,7 +38,7 @@ from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.vectors import vector3
 
-ACROSS_MM = (0.0, 6.0, -6.0)  # places of the line across a look, along the tool's y axis
+ACROSS_MM = (-9.0, -3.0, 3.0, 9.0)  # places of the line across a look, along the tool's y axis
 LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
 CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
 DECIMALS = 4  # of a point in the record, mm
