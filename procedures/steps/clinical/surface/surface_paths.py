@@ -9,10 +9,9 @@ import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.planning.skin_views import choose_views, order_views
+from procedures.planning.skin_views import choose_views, mark_scannable, order_views
 from procedures.planning.visits import ArmSetting, Reached
 from procedures.registration.surface.errors import NO_STATIONS
-from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.stations import Station, choose_stations
 from procedures.registration.surface.surface import Surface
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -31,9 +30,6 @@ LOOK_S = 3.0  # theatre time of a look
 # Safety against a look from which more is expected than its lines show (U).
 SEEN_MM = 12.0  # of the skin around the middle of a look: half of a line
 FEWEST_VIEWS = 8  # with fewer the scan would be refused for its coverage
-# Parts that hair grows on or that lie on the headrest, where a line does not show the skin; and the jaw,
-# which opens.
-NOT_SCANNED = ("vault", "occiput", "neck", "jaw")
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
@@ -42,7 +38,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     context.progress(0.0, "choosing looks at the skin")
     setting, skin = arm_setting_of(context), skin_of(context)
     places_mm = skin.points_mm
-    scanned = ~np.isin(HeadAxes.of(skin).name_parts(places_mm), NOT_SCANNED)
+    scanned = mark_scannable(skin)
     branch = setting.kinematics.branch_of(setting.start_rad)
     found = choose_views(setting, branch, places_mm[scanned], skin.normals[scanned], CANDIDATES)
     targets_mm = [one.target_mm for one in context.result(CheckedPlan).plan.trajectories]
