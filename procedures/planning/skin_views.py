@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from procedures.planning.paths import solve_visit
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, Reached, Visit
+from procedures.registration.surface.regions import HeadAxes
+from procedures.registration.surface.surface import Surface
 from procedures.strategies.skin_looks import SKIN
 from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.strategies.trajectory import tool_pose
@@ -19,14 +21,22 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.motion.planning import plan_joint_move
-from ronna_hw.arrays import Array
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform, perpendicular_axes
 
+# Parts that hair grows on or that lie on the headrest, where a line does not show the skin; and the jaw,
+# which opens.
+NOT_SCANNED = ("vault", "occiput", "neck", "jaw")
 TRIED_FOR_EACH = 3  # places on the skin for each view that is asked for
 TILTS_RAD = tuple(np.radians((0.0, 20.0, 40.0)))  # from the skin's normal; the line still lights it well
 AZIMUTHS, ROLLS = 6, 12
 MOST_SWEPT = 4  # poses at one place that are checked for clearance
+
+
+def mark_scannable(skin: Surface) -> Mask:
+    """Mark the places of the skin (n,) that a scan is planned for."""
+    return np.asarray(~np.isin(HeadAxes.of(skin).name_parts(skin.points_mm), NOT_SCANNED))
 
 
 def choose_views(

@@ -25,6 +25,7 @@ from ronna_hw.arrays import Array
 POSE = 6  # unknowns of a pose
 OFFSET_SD_MM = 0.1  # of the surface's level in the CT, the same everywhere (U)
 LEAST_NOISE_MM = 0.03  # of a surface by grey values, from point to point (U)
+NOTHING_KNOWN = np.empty((0, 0))
 POSE_SD = np.array([1.0, 1.0, 1.0, 1e3, 1e3, 1e3])  # rad and mm: a turn that nothing shows stays finite
 
 
@@ -103,26 +104,29 @@ class MisfitModel:
         shared_mm: Array,
         misfits: Sequence[Misfit] = MISFITS,
         prior: Array | None = None,
+        known_mm2: Array = NOTHING_KNOWN,
     ) -> Self:
         """Factor the covariances for points (n, 3) with noise (n,) along the normals.
 
         `shared_mm` (n, k) is the displacement along the normals by further errors of one standard deviation.
-        All hypotheses are equally likely without a `prior` (h,).
+        All hypotheses are equally likely without a `prior` (h,). `known_mm2` (q, q) is the covariance of
+        further residuals, the last rows of `shared_mm`, which have nothing of the misfit.
         """
-        distances_mm = cdist(points_mm, points_mm)
-        common = shared_mm @ shared_mm.T + OFFSET_SD_MM**2
-        common[np.diag_indices(len(points_mm))] += noise_mm2 + LEAST_NOISE_MM**2
+        count, distances_mm = len(points_mm), cdist(points_mm, points_mm)
+        common = shared_mm @ shared_mm.T
+        common[:count, :count] += OFFSET_SD_MM**2
+        common[np.diag_indices(count)] += noise_mm2 + LEAST_NOISE_MM**2
+        common[count:, count:] += known_mm2
         kinds = {(one.roughness, one.length_mm): Misfit(1.0, one.length_mm, one.roughness) for one in misfits}
         unit = {kind: one.covariance_mm2(distances_mm) for kind, one in kinds.items()}
-        factors = tuple(
-            cho_factor(
-                one.size_mm**2 * unit[one.roughness, one.length_mm] + common, lower=True, check_finite=False
-            )
-            for one in misfits
-        )
+        factors = []
+        for one in misfits:
+            covariance = common.copy()
+            covariance[:count, :count] += one.size_mm**2 * unit[one.roughness, one.length_mm]
+            factors.append(cho_factor(covariance, lower=True, check_finite=False))
         logs = np.array([2.0 * np.log(np.diagonal(factor)).sum() for factor, _ in factors])
         equal = np.full(len(misfits), 1.0 / len(misfits))
-        return cls(tuple(misfits), np.log(equal if prior is None else prior), factors, logs)
+        return cls(tuple(misfits), np.log(equal if prior is None else prior), tuple(factors), logs)
 
     def adjust(self, jacobian: Array, residuals_mm: Array) -> PoseMixture:
         """Find the shift that removes residuals (n,), which grow by `jacobian` (n, 6) per unit of shift."""

@@ -1,5 +1,6 @@
 """Registration of a scan to the surface in the CT, with what it knows about its own error.
 
+Looks at spheres on screws, if there are any, are rows of the same adjustment.
 The scan is settled robustly, other bodies and changed skin are excluded, and the pose is adjusted under all
 hypotheses about the misfit of the skin (`misfit`). The error at a target follows from the mixture: never from
 the sharpness of the fit alone, which counts neighbouring points as if they were independent.
@@ -39,6 +40,12 @@ from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
 from procedures.registration.surface.shared_errors import ErrorColumns, Sources, at_target
+from procedures.registration.surface.spheres import (
+    LookedSpheres,
+    SphereAlone,
+    judge_spheres,
+    require_unmoved,
+)
 from procedures.registration.surface.starts import Start, find_pose, pose_of
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import thin_points
@@ -57,7 +64,8 @@ class SurfaceRegistration:
     `points_mm` are those of the thinned scan, `residuals_mm` their distances to the surface. `excluded` marks
     other bodies and `changed` skin; of `doubted` skin the shift is unknown in the adjustment. `coverage` is
     the share of the head's surface that was scanned. `side_proven` says whether the mirror image fits clearly
-    worse: if it does not, left and right must be confirmed by another observation.
+    worse: if it does not, left and right must be confirmed by another observation. Looks at spheres have
+    their `sphere_residuals_mm` (m, 3), robot frame, and each sphere how it fits everything else.
     """
 
     robot_from_ct: Transform
@@ -71,6 +79,8 @@ class SurfaceRegistration:
     centre_ct_mm: Array
     mixture: PoseMixture = field(repr=False)
     along_mm: Array = field(repr=False)  # (m, k) displacement of the used points by the shared errors
+    sphere_residuals_mm: Array
+    spheres: tuple[SphereAlone, ...]
 
     @property
     def misfit_mm(self) -> float:
@@ -107,20 +117,22 @@ def register_surface(
     *,
     targets_ct_mm: ArrayLike | None = None,
     arm: Sources = (),
+    spheres: LookedSpheres | None = None,
     limits: SurfaceLimits | None = None,
 ) -> SurfaceRegistration:
     """Register a scan to a surface; without a start the pose is searched by the scan alone.
 
     `arm` are errors that the points share, as displacements in the robot frame, with a row for each look (in
-    the order of their numbers) or for each point. Without targets the middle of the head stands for them.
-    Raises SRF-001 to SRF-010: a registration that is not refused may be used within its predicted error.
+    the order of their numbers) or for each point, then for each look at the `spheres`. The skin is judged by
+    the scan alone. Without targets the middle of the head stands for them.
+    Raises SRF-001 to SRF-012: a registration that is not refused may be used within its predicted error.
     """
-    limits = limits or SurfaceLimits()
+    limits, spheres = limits or SurfaceLimits(), spheres or LookedSpheres.none()
     axes = HeadAxes.of(surface)
     targets = axes.centre_mm[None] if targets_ct_mm is None else validate_targets(targets_ct_mm)
     rows, _ = thin_points(scan.points_mm)
     thin = scan.select(rows)
-    columns = ErrorColumns.of(arm, scan, rows)
+    columns = ErrorColumns.of(arm, scan, rows, len(spheres.numbers))
     if len(thin) < FEWEST_POINTS:
         require_coverage(0.0, len(thin), limits)
     found = _settle(thin, surface, start, limits)
@@ -128,7 +140,8 @@ def register_surface(
     side_proven = is_side_proven(found, used, thin.points_mm, thin.view_mm, surface, axes)
     used, changed, doubted = _judge_skin(found, used, thin, columns, axes, limits)
     coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
-    found, centre, mixture, along = _adjust(found, used, thin, surface, columns, doubted)
+    found, centre, mixture, along, judged = _adjust(found, used, thin, surface, columns, doubted, spheres)
+    require_unmoved(judged)
     require_start(found.pose, start, axes)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = found.pose.rotation, found.pose.translation_mm
@@ -145,6 +158,8 @@ def register_surface(
         centre,
         mixture,
         along,
+        spheres.residuals_mm(found.pose).reshape(-1, 3),
+        judged,
     )
     for target in targets:
         predicted = registration.predict(target)
@@ -182,7 +197,7 @@ def _judge_skin(
     """
     changed: list[ChangedSkin] = []
     while True:
-        model, jacobian, _ = _model(found, used, thin, columns, SCOUTS)
+        model, jacobian, _ = _model(found, used, thin, columns, SCOUTS)  # not by spheres: judged later
         if not changed:
             require_still(model, jacobian, found.distances_mm[used], thin.look[used])
         regions = weigh_regions(model, jacobian, found, used, axes)
@@ -201,14 +216,27 @@ def _model(
     columns: ErrorColumns,
     misfits: Sequence[Misfit],
     doubted: Sequence[ChangedSkin] = (),
+    spheres: LookedSpheres | None = None,
 ) -> tuple[MisfitModel, Array, Array]:
-    """Return the misfit's model of the used points, their Jacobian, and the shared errors along normals."""
+    """Return the model of the used points and of spheres, their Jacobian, and the shared errors along it."""
+    spheres = spheres or LookedSpheres.none()
     directions = found.normals @ found.pose.rotation  # in the robot frame
     noise = np.einsum("ni,nij,nj->n", directions, thin.covariance_mm2, directions)[used]
-    along = columns.along(directions)[used]
+    along, centre = columns.along(directions)[used], found.places_mm[used].mean(axis=0)
     unknown = [CHANGED_MM * one.points[used].astype(float) for one in doubted]
-    model = MisfitModel.of(thin.points_mm[used], noise, np.column_stack([along, *unknown]), misfits)
-    return model, found.jacobian(found.places_mm[used].mean(axis=0))[used], along
+    shared, jacobian = np.column_stack([along, *unknown]), found.jacobian(centre)[used]
+    if not len(spheres.numbers):
+        return MisfitModel.of(thin.points_mm[used], noise, shared, misfits), jacobian, along
+    of_spheres = np.pad(columns.of_spheres(), ((0, 0), (0, len(unknown))))
+    model = MisfitModel.of(
+        thin.points_mm[used],
+        noise,
+        np.vstack([shared, of_spheres]),
+        misfits,
+        known_mm2=spheres.covariance_mm2,
+    )
+    jacobian = np.vstack([jacobian, spheres.jacobian(found.pose, centre)])
+    return model, jacobian, np.vstack([along, columns.of_spheres()])
 
 
 def _adjust(
@@ -218,18 +246,21 @@ def _adjust(
     surface: Surface,
     columns: ErrorColumns,
     doubted: Sequence[ChangedSkin],
-) -> tuple[Settled, Array, PoseMixture, Array]:
+    spheres: LookedSpheres,
+) -> tuple[Settled, Array, PoseMixture, Array, tuple[SphereAlone, ...]]:
     """Step to the mean of all hypotheses; return the pose, its centre, and the mixture about it.
 
     The slopes stay those of the first pose, with which the shared errors were projected: otherwise a turn of
     the normals by a hundredth would tell the one from the other.
     """
-    model, jacobian, along = _model(found, used, thin, columns, MISFITS, doubted)
+    model, jacobian, along = _model(found, used, thin, columns, MISFITS, doubted, spheres)
     centre = found.places_mm[used].mean(axis=0)
     for _ in range(MOST_STEPS):
-        mixture = model.adjust(jacobian, found.distances_mm[used])
+        residuals = np.append(found.distances_mm[used], spheres.residuals_mm(found.pose))
+        mixture = model.adjust(jacobian, residuals)
         mean = mixture.mean
         if np.abs(mean).max() < STILL:
             break
         found = Settled.at(found.pose.moved(mean, centre), thin.points_mm, thin.view_mm, surface)
-    return found, centre, replace(mixture, shifts=mixture.shifts - mean), along
+    judged = judge_spheres(model, jacobian, residuals, spheres)
+    return found, centre, replace(mixture, shifts=mixture.shifts - mean), along, judged

@@ -112,7 +112,7 @@ class ScannedLine(Values):
 
 
 class ScannedSurface(Relocalization, kind="surface_scan"):
-    """The skin as the stereo head saw it, in the place of spheres."""
+    """The skin as the stereo head saw it, in the place of spheres or besides some."""
 
     lines: tuple[ScannedLine, ...] = Field(description="Lines with points, in the order of the scan.")
     planned_looks: int = Field(description="Looks of the path check.")
@@ -129,6 +129,11 @@ class ScannedSurface(Relocalization, kind="surface_scan"):
     def looks_taken(self) -> tuple[int, ...]:
         """Numbers of the looks with points, ascending."""
         return tuple(sorted({line.look for line in self.lines}))
+
+    @classmethod
+    def beside(cls, spheres: Relocalization, **fields: object) -> Self:
+        """Build the result from a relocalization of spheres, and the lines beside it."""
+        return cls.model_validate({**spheres.model_dump(), **fields})
 
     @classmethod
     def without_spheres(cls, **fields: object) -> Self:

@@ -23,13 +23,14 @@ from procedures.steps.clinical.path_check import (
     announce_motions,
     motions_over_spheres,
 )
-from procedures.steps.clinical.relocalization import arriving, begin_looks
+from procedures.steps.clinical.relocalization import arriving, begin_looks, localize_spheres
 from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedSurface
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surface.coverage_picture import draw_coverage
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
+from procedures.strategies.skin_looks import SKIN
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import Centring
 from procedures.workcell.line_look import LineLook
@@ -43,25 +44,50 @@ LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer 
 CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
 DECIMALS = 4  # of a point in the record, mm
 SMALL_STEPS = "the small steps across each place on the skin"
+OF_LINES = ("lines", "planned_looks", "dark", "covered", "theatre_s")  # of the result
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
 
 
 def run(context: StepContext) -> Outcome[ScannedSurface]:
-    """Scan the skin from all looks of the path check. Raises SRF-032 if none shows a line, PRO-007."""
+    """Scan the skin from all looks of the path check, once for all trajectories, and localize the spheres.
+
+    Raises SRF-032 if no look shows a line, PRO-007, and for spheres PRO-008, PRO-009, STE-014.
+    """
     paths = context.result(CheckedPaths)
-    motions = motions_over_spheres(paths.motions, context.key.trajectory)
+    before = None  # the scan of another trajectory; who repeats this step has the skin scanned again
+    if not context.done_before:
+        before = context.result_among(ScannedSurface, lambda found: found[0] if found else None)
+    own = context.key.trajectory
+    axes = [own] if own is None or before is not None else [SKIN, own]
+    motions = [one for axis in axes for one in motions_over_spheres(paths.motions, axis)]
     announced = announce_motions(motions, SMALL_STEPS) if motions else None
     with context.workcell.master.supervised.announce_step_motions(announced):
-        return _scan(context, paths)
+        return _look(context, paths, before)
+
+
+def _look(
+    context: StepContext, paths: CheckedPaths, before: ScannedSurface | None
+) -> Outcome[ScannedSurface]:
+    """Take all looks of this localization; lines of a scan `before` serve again."""
+    context.workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    at_spheres = [one for _, one in paths.looks_for(context.key.trajectory)]
+    looks = at_spheres if before is not None else paths.skin_looks
+    surround_stereo_head(context, looks[len(looks) // 2].joints_rad)
+    begin_looks(context, "before the skin is scanned", ScannedSurface)
+    scanned = _scan(context, paths) if before is None else Outcome(before, "the skin is scanned already")
+    if not at_spheres:
+        return scanned
+    surround_stereo_head(context, at_spheres[len(at_spheres) // 2].joints_rad)
+    spheres = localize_spheres(context, paths)
+    lines = {name: getattr(scanned.result, name) for name in OF_LINES}
+    return Outcome(
+        ScannedSurface.beside(spheres.result, **lines), summary=f"{scanned.summary}; {spheres.summary}"
+    )
 
 
 def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     context.result(ImportedCt)
-    planned = [one for _, one in paths.looks_for(context.key.trajectory)]
-    workcell = context.workcell
-    workcell.master.mount.check(MountedTool.STEREO_HEAD)
-    surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
-    begin_looks(context, "before the skin is scanned", ScannedSurface)
+    planned, workcell = paths.skin_looks, context.workcell
     workcell.sensors.read_around_tool(LINE_AREA_PX)
     began_s = workcell.clock.now_s()
     lines: list[ScannedLine] = []
