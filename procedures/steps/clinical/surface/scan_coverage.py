@@ -17,6 +17,8 @@ from ronna_hw.errors import RonnaError, is_error
 
 COVERED_MM = 5.0  # a place of the skin this near to a point is covered: half of the way to the next line
 
+DETERMINED_MM = 10.0  # a larger expected error means that the places seen so far allow any pose
+
 
 class ScanCoverage:
     """Places of the skin around the middles of looks (n, 3), and those covered; all in the CT, mm."""
@@ -55,7 +57,8 @@ class ScanCoverage:
             if not is_error(problem, LITTLE_COVERAGE):
                 raise
             return None
-        return float(np.sqrt(np.mean([one.rms_mm**2 for one in expected])))
+        rms_mm = float(np.sqrt(np.mean([one.rms_mm**2 for one in expected])))
+        return rms_mm if rms_mm < DETERMINED_MM else None
 
 
 def describe_scan(state: ScanProgress) -> str:

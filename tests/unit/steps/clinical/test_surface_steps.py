@@ -88,7 +88,11 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
         "arm_setting_of",
         lambda _context: SimpleNamespace(kinematics=kinematics, start_rad=()),
     )
-    monkeypatch.setattr(surface_paths, "mark_scannable", lambda skin: np.ones(len(skin.points_mm), dtype=bool))
+    monkeypatch.setattr(
+        surface_paths,
+        "HeadAxes",
+        SimpleNamespace(of=lambda _skin: SimpleNamespace(name_parts=lambda points: np.full(len(points), ""))),
+    )
     monkeypatch.setattr(surface_paths, "choose_views", lambda *_arguments: ())
     monkeypatch.setattr(surface_paths, "choose_by_error", lambda *_arguments: ())
     with raises(NO_STATIONS):
