@@ -110,6 +110,15 @@ class ScannedLine(Values):
     )
 
 
+class ScannedLook(Values):
+    """One look at the skin, which is kept until the scan is whole."""
+
+    number: NonNegativeInt = Field(description="Of the look in the path check.")
+    lines: tuple[ScannedLine, ...] = Field(description="Lines with points, in the order of the scan.")
+    reason: str = Field(default="", description="Why a line shows no skin, if one does not.")
+    theatre_s: float = Field(description="Theatre time that it took, with the way to it.")
+
+
 class ScannedSurface(Relocalization, kind="surface_scan"):
     """The skin as the stereo head saw it, in the place of spheres or besides some."""
 
@@ -117,7 +126,8 @@ class ScannedSurface(Relocalization, kind="surface_scan"):
     planned_looks: int = Field(description="Looks of the path check.")
     dark: dict[str, str] = Field(description="Looks without any line, by their number from 1, and why.")
     covered: float = Field(description="Share of the skin above the jaw within 10 mm of a point.")
-    theatre_s: float = Field(description="Theatre time from the first look to the last.")
+    theatre_s: float = Field(description="Theatre time of all looks and the ways to them, without pauses.")
+    kept_looks: int = Field(default=0, description="Looks that were taken before the scan was interrupted.")
 
     @property
     def scan(self) -> SurfaceScan:

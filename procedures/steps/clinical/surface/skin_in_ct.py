@@ -40,6 +40,7 @@ def run(context: StepContext) -> Outcome[SkinInCt]:
             diameter_mm=SPHERE_DIAMETER_MM,
             markers=() if spheres is None else spheres.markers,
             doubtful=() if spheres is None else spheres.doubtful,
+            deformation=None if spheres is None else spheres.deformation,
             localizer=context.clinical.methods.localizer,
             samples=len(skin.points_mm),
             cranium=cranium,
