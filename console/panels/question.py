@@ -10,6 +10,8 @@ from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.operator.question import Picture, PredictedError
+from procedures.reporting.sections.surface import SURFACE_PICTURES
+from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, FULL_COLOUR_MM
 
 NOT_KEPT = "Name and identifier were shown to the operator; no record keeps them."
 
@@ -78,14 +80,28 @@ def _render_value(question: Questioned) -> str:
     return tag("ul", "".join(tag("li", line) for line in lines), class_=shown_as)
 
 
+def caption_of_skin(name: str) -> str:
+    """Describe a picture of the skin by its name."""
+    if name.startswith(PurePath(COVERAGE_PICTURE).stem):
+        return "skin covered by the scan"
+    return (
+        f"points by their distance to the skin in the CT: blue inside, red outside, full colour from "
+        f"{FULL_COLOUR_MM:g} mm; rings are left out"
+    )
+
+
 def _render_picture(picture: Picture, *, is_first: bool) -> str:
     """Show a picture, addressed by its digest: the server serves no other content there.
 
     The stem of its name may end in a number, if the plan was checked again.
     """
     name = PurePath(picture.name)
-    caption = text(f"{picture.trajectory or name.stem.removeprefix(PLAN_PICTURE)} in the CT")
     address = f"/picture/{escape(name.name)}?shown={escape(picture.sha256)}"
-    planes = ct_planes(address, caption)
-    link = f'<a href="{address}" target="_blank" rel="noopener" aria-label="{caption}, enlarged">{planes}</a>'
+    if name.name.startswith(SURFACE_PICTURES):
+        caption = text(caption_of_skin(name.name))
+        shown = f'<img class="whole" src="{address}" alt="{caption}">'
+    else:
+        caption = text(f"{picture.trajectory or name.stem.removeprefix(PLAN_PICTURE)} in the CT")
+        shown = ct_planes(address, caption)
+    link = f'<a href="{address}" target="_blank" rel="noopener" aria-label="{caption}, enlarged">{shown}</a>'
     return f"<details{' open' if is_first else ''}>{tag('summary', caption)}{link}</details>"

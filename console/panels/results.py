@@ -8,11 +8,14 @@ from pathlib import Path, PurePath
 from console.errors import UNRELIABLE_RUN
 from console.hub import Hub
 from console.panels.ct_planes import ct_planes
-from console.panels.html import evidence_table, head_row, tag, text
+from console.panels.html import evidence_table, head_row, table, tag, text
+from console.panels.question import caption_of_skin
 from procedures.engine.case_view import FAULT, FINDING, REFUSED, CaseView, Notice
+from procedures.engine.events import ScanProgress
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.operator.question import PredictedError
 from procedures.reporting.case_figures import CaseFigures
+from procedures.reporting.sections.surface import SURFACE_PICTURES, SurfaceSection
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.host.files import open_regular
 from ronna_hw.log_output import LOG_FILE
@@ -36,8 +39,10 @@ def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
     decided = {item.target for item in asked}
     valid = () if figures is None else figures.predictions
     predictions = [*asked, *(item for item in valid if item.target not in decided)]
+    on_skin = "" if figures is None or figures.surface is None else skin(figures.surface)
     if not predictions:
-        return tag("p", "No registration yet.", class_="dim")
+        scan = "" if view.scan is None else live_scan(view.scan)
+        return tag("p", "No registration yet.", class_="dim") + scan + on_skin
     rows = "".join(
         tag(
             "tr",
@@ -56,7 +61,40 @@ def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
     open_words = f"Not accepted yet: {', '.join(item.target for item in asked)}."
     is_open = tag("p", text(open_words), class_="warn") if asked else ""
     tables = "" if figures is None or asked else "".join(map(evidence_table, figures.tables))
-    return is_open + total + tables + tag("p", NOTE, class_="dim")
+    return is_open + total + on_skin + tables + tag("p", NOTE, class_="dim")
+
+
+def skin(surface: SurfaceSection) -> str:
+    """Show what is known of the skin: landmarks, scan, and how it differs from the CT."""
+    start, scan, fit = surface.start, surface.scan, surface.registration
+    parts = []
+    if start is not None:
+        rows = [(one.landmark, f"{one.off_mm:.1f}") for one in start.landmarks]
+        parts.append(table(("landmark", "mm from its place by the fit"), rows, "Landmarks touched"))
+    if scan is not None:
+        words = (
+            f"Scan: {len(scan.lines)} lines, {surface.points} points, {scan.covered:.0%} of the skin above "
+            "the jaw within 10 mm of a point."
+        )
+        parts.append(tag("p", text(words)))
+        parts += [
+            tag("p", text(f"Look {number} shows no line: {reason}."), class_="warn")
+            for number, reason in scan.dark.items()
+        ]
+    if fit is not None:
+        words = f"The skin differs from the CT by {fit.misfit_mm:.2f} mm over {fit.misfit_length_mm:.0f} mm."
+        parts.append(tag("p", text(words)))
+        parts += [
+            tag(
+                "p",
+                text(f"Has probably moved: {', '.join(one.parts)}, by {one.shift_mm:+.2f} mm."),
+                class_="warn",
+            )
+            for one in fit.changed
+        ]
+        if not fit.side_proven:
+            parts.append(tag("p", "Left and right were compared by the operator: the skin cannot tell."))
+    return "".join(parts)
 
 
 def _describe_limit(predicted: PredictedError) -> str:
@@ -65,8 +103,19 @@ def _describe_limit(predicted: PredictedError) -> str:
 
 
 def accuracy_key(view: CaseView) -> object:
-    """Return a key that changes with the registration that the open question is about."""
-    return view.question.predicted if view.question is not None else ()
+    """Return a key that changes with the registration that the open question is about, and with the scan."""
+    return view.question.predicted if view.question is not None else (), view.scan
+
+
+def live_scan(scan: ScanProgress) -> str:
+    """Show what a scan of the skin under way has covered, and the error that is expected of it."""
+    expected_mm = scan.predicted_error_mm
+    rows = (
+        ("looks taken", f"{scan.looks_done} of {scan.looks_planned}"),
+        ("covered of what is planned", f"{scan.covered_share:.0%}"),
+        ("expected error, mm rms", "too little scanned" if expected_mm is None else f"{expected_mm:.2f}"),
+    )
+    return table(("scan of the skin", ""), rows)
 
 
 def live_pair(hub: Hub) -> str:
@@ -95,9 +144,12 @@ def pictures(figures: CaseFigures | None) -> str:
 
 def _render_picture(name: str) -> str:
     what = PurePath(name).stem.removeprefix("stereo-").replace("-", ", sphere ")
-    alt_text = f"{text(what)}: both cameras, detected outline overlaid"
-    image = f'<img src="/picture/{text(name)}" alt="{alt_text}" loading="lazy">'
-    return tag("figure", image + tag("figcaption", text(what)))
+    alt_text = f"{what}: both cameras, detected outline overlaid"
+    is_skin = name.startswith(SURFACE_PICTURES)
+    if is_skin:
+        what = alt_text = caption_of_skin(name)
+    image = f'<img src="/picture/{text(name)}" alt="{text(alt_text)}" loading="lazy">'
+    return tag("figure", image + tag("figcaption", text(what)), class_="skin" if is_skin else "")
 
 
 def cuts(view: CaseView, figures: CaseFigures | None) -> str:

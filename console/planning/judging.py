@@ -18,6 +18,7 @@ from console.planning.draft import Draft
 from procedures.imaging.volume import Volume
 from procedures.operator.margin import MarginVerdict, judge_error
 from procedures.planning.errors import NotReachable, PlanMistakes
+from procedures.planning.fiducial_choice import OTHERS_MM, expect_with_skin
 from procedures.planning.guide import place_guides
 from procedures.planning.head_in_ct import skull_angle_rad
 from procedures.planning.paths import check_paths
@@ -31,6 +32,7 @@ from procedures.planning.theatre_arm import TheatreArm
 from procedures.planning.visits import PathCheck, Unmet
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.surface.surface import Surface
 from procedures.registration.target_prediction import TargetPrediction
 from ronna_hw.errors import RonnaError
 
@@ -46,6 +48,7 @@ class ExpectedAtTarget:
     limit_mm: float  # contains it with `DEFAULT_CONFIDENCE`
     shares_mm: tuple[tuple[str, float], ...]
     with_arm: bool  # otherwise from the markers alone
+    by_skin: bool = False  # scanned, as skin usually moves; arm and guide are as usual then
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,13 @@ class Judgement:
     complete: bool = False  # at least one trajectory has both ends, so there is something to judge
 
 
-def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough: bool) -> Judgement:
-    """Assess the complete trajectories. Problems in the draft become findings, never exceptions."""
+def judge(
+    draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough: bool, skin: Surface | None = None
+) -> Judgement:
+    """Assess the complete trajectories. Problems in the draft become findings, never exceptions.
+
+    `skin` is that of the volume, for a draft that registers on it.
+    """
     judged = Judgement(draft, thorough=thorough or theatre is None, is_arm_known=theatre is not None)
     if not any(item.ends for item in draft.ways):
         return judged
@@ -100,7 +108,9 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         warnings=check.warnings,
         unmet=unmet,
         is_reach_known=bool(unmet) or paths is not None,
-        expected=_predict_errors(plan, draft, theatre, paths),
+        expected=_predict_errors(plan, draft, theatre, paths)
+        if skin is None
+        else _expect_by_skin(plan, markers_mm, skin),
         reached=_describe_reach(check),
     )
 
@@ -127,6 +137,23 @@ def _check_draft(
         bore=theatre.bore,
     )
     return check, check.paths
+
+
+def _expect_by_skin(
+    plan: Plan, markers_mm: NDArray[np.float64], skin: Surface
+) -> dict[str, ExpectedAtTarget]:
+    found = expect_with_skin(skin, markers_mm, plan)
+    others = ("arm, guide and instrument, as usual", OTHERS_MM)
+    return {
+        one.target: ExpectedAtTarget(
+            one.total_mm,
+            one.total_limit_mm,
+            ((found.words, one.rms_mm), others),
+            with_arm=True,
+            by_skin=True,
+        )
+        for one in found.expected
+    }
 
 
 def _predict_errors(
@@ -261,7 +288,10 @@ def _target_html(name: str, item: ExpectedAtTarget, margin_mm: float) -> str:
 
 
 def _basis_text(expected: Iterable[ExpectedAtTarget]) -> str:
-    if all(item.with_arm for item in expected):
+    found = tuple(expected)
+    if any(item.by_skin for item in found):
+        return "For skin that moves as it usually does: how it has moved, the scan in the case tells."
+    if all(item.with_arm for item in found):
         return (
             "Includes the arm at the poses found; "
             "excludes the stereo measurement, which is made during the case."

@@ -18,6 +18,7 @@ from console.planning.judging import Judgement, judge
 from console.planning.theatre_choice import TheatreChoice
 from console.scene.head_surface import encode_stl, head_surface
 from procedures.imaging import Candidate, PatientIdentity, Volume, likeliest_first, localize, localize_picks
+from procedures.imaging.ct_surface import CtSurface, find_skin
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.localization import DIAMETER_MM
 from procedures.imaging.markers import Marker, ScanDeformation
@@ -67,6 +68,7 @@ class PlanEditor(ChangeNotifier):
         self.storage_problem: RonnaError | None = None  # why a crash would lose unsaved changes
         self._markers: tuple[Marker, ...] = ()  # those that were found
         self._deformation: ScanDeformation | None = None  # that they show
+        self._skin: CtSurface | None = None  # found once a plan registers on it
         self._change_event, self._keep_event, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
         self._check_event = asyncio.Event()
         self._unsaved = UnsavedFile(plan, volume.series_instance_uid)
@@ -373,7 +375,14 @@ class PlanEditor(ChangeNotifier):
                 self._announce(judged)
 
     async def _judge_draft(self, draft: Draft, *, thorough: bool) -> Judgement:
-        return await asyncio.to_thread(judge, draft, self.volume, self.theatre, thorough=thorough)
+        return await asyncio.to_thread(self._judge_now, draft, thorough=thorough)
+
+    def _judge_now(self, draft: Draft, *, thorough: bool) -> Judgement:
+        if draft.fiducials.has_skin and self._skin is None:
+            with contextlib.suppress(RonnaError):  # a CT without a head is refused elsewhere
+                self._skin = find_skin(self.volume)
+        skin = self._skin if draft.fiducials.has_skin else None
+        return judge(draft, self.volume, self.theatre, thorough=thorough, skin=skin)
 
     def _announce(self, judged: Judgement) -> None:
         self.judged = judged

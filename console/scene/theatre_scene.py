@@ -16,6 +16,7 @@ from procedures.engine.case_view import CaseView, ReportedPose
 from procedures.engine.events import ArmsApart, Body
 from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.reporting.case_figures import CaseFigures, SphereFigure
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
 
 BACKGROUND = "#26333e"  # dark in both themes, so that bodies of every colour stand out
@@ -23,6 +24,7 @@ ARMS = ("#f08a24", "#b392f0")  # the arm with the guide, then others; further on
 CT, TRACKER, STEREO = "#58a6ff", "#ffb020", "#42d392"
 SKIN, PATH = "#d9b9a3", "#ff5fa2"
 INSTRUMENT, CAPTION = "#e7f04c", "instrument, as planned"  # nothing measures it
+POINT_MM = 2.0  # size of a scanned point
 OUTSIDE = 2.5  # length of a trajectory drawn outside the entry, as a share of its depth
 AT_TARGET = "at_target"  # topic of the question that stands while the instrument is at depth
 BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the tracker frame
@@ -195,6 +197,8 @@ class TheatreScene:
             return
         for sphere in figures.spheres:
             self._add_sphere(sphere)
+        if figures.surface is not None and figures.surface.scan is not None:
+            self._add_points(figures.surface.scan.scan.points_mm, STEREO)
         for path in figures.trajectories:
             self._add_path(path.name, path.entry_mm, path.target_mm)
 
@@ -227,6 +231,11 @@ class TheatreScene:
                 continue
             x, y, z = (c + self.magnified * (p - c) for c, p in zip(ct, place, strict=True))
             self._add_ball((x, y, z), colour, share=0.8)
+
+    def _add_points(self, points_mm: Array, colour: str) -> None:
+        rgb = [int(colour[place : place + 2], 16) / 255.0 for place in (1, 3, 5)]
+        places = (points_mm * METRES).tolist()
+        self._marks.append(self.scene.point_cloud(places, [rgb] * len(places), POINT_MM * METRES))
 
     def _add_ball(self, place: Point, colour: str, share: float = 1.0) -> None:
         radius = SPHERE_RADIUS_MM * share * METRES

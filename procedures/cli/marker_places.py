@@ -16,6 +16,7 @@ from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
+    from procedures.planning.fiducial_choice import Fiducials
     from procedures.planning.head_in_ct import HeadEllipsoid
     from procedures.planning.plan_model import Plan
     from ronna_hw.marker_template import TemplateMarker
@@ -113,6 +114,61 @@ def marker_places(
     title = f"expected from marker errors of {found.marker_error_mm:g} mm each"
     rows = [[one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}"] for one in found.targets]
     terminal.print_table(title, ["target", "rms mm", "random mm"], rows)
+
+
+def choose_fiducials(
+    plan_file: Annotated[Path, Argument(metavar="PLAN", help="Plan file with the trajectories.")],
+    series_dir: Annotated[
+        Path,
+        Argument(metavar="SERIES_DIR", help="CT series of the head and its face, without markers or with."),
+    ],
+    seed: SpacingOption = 0,
+    as_json: terminal.JsonOption = False,
+) -> None:
+    """Compare what a plan may be registered by: the skin, the skin with one to three screws, spheres alone.
+
+    Names the fewest screws that are expected to keep the margin of every target, and the best sites for them.
+    The expected error is that of the registration; the margin is compared with arm, guide and instrument
+    added as usual. How far the skin moves before the scan is not known: what is usual stands for it.
+    """
+    from procedures.imaging.ct_surface import find_skin
+    from procedures.planning.fiducial_choice import compare_fiducials, name_fewest
+    from procedures.planning.plan_file import read_plan
+
+    plan = read_plan(plan_file)
+    head, volume = _read_head(series_dir, None, plan, plan_file)
+    assert volume is not None, "it is read from a series"
+    compared = compare_fiducials(find_skin(volume), head, plan, volume=volume, seed=seed)
+    if as_json:
+        terminal.print_json(
+            {"fewest": name_fewest(compared), "compared": [one.as_payload() for one in compared]}
+        )
+        return
+    print_expected(compared)
+    for one in compared:
+        if one.with_skin and one.centres_mm:
+            sites = "; ".join(", ".join(f"{value:.0f}" for value in centre) for centre in one.centres_mm)
+            terminal.say(f"{one.words} at LPS mm: {sites}")
+    terminal.say(name_fewest(compared))
+
+
+def print_expected(compared: Sequence[Fiducials]) -> None:
+    """Print the expected errors of ways to register, alone and with what comes after, against the margins."""
+    rows = [
+        [
+            one.words,
+            at.target,
+            f"{at.rms_mm:.2f}",
+            f"{at.limit_mm:.2f}",
+            f"{at.total_mm:.2f}",
+            f"{at.total_limit_mm:.2f}",
+            f"{at.margin_mm:g}: {at.verdict}",
+        ]
+        for one in compared
+        for at in one.expected
+    ]
+    headings = ["registered by", "target", "rms mm", "95 % mm", "with arm and guide, rms mm", "95 % mm"]
+    terminal.print_table("expected error of the registration", [*headings, "margin mm"], rows)
 
 
 def _require_one_head(series_dir: Path | None, scene: Path | None) -> None:

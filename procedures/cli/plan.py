@@ -7,6 +7,7 @@ import math
 import os
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from procedures.cli import planning_inputs
-from procedures.cli.marker_places import marker_places, template
+from procedures.cli.marker_places import choose_fiducials, marker_places, print_expected, template
 from procedures.cli.place import place
 from procedures.cli.plan_markups import from_markups, to_markups
 from procedures.cli.plan_sheet import sheet
@@ -24,9 +25,12 @@ from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import VERBOSE_FLAG, require_new
 
 if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+    from procedures.planning.fiducial_choice import Fiducials
     from procedures.planning.head_in_ct import HeadEllipsoid
     from procedures.planning.motions import PreviewedMotion
     from procedures.planning.plan_check import PlanCheck
+    from procedures.planning.plan_model import Plan
     from ronna_hw.tool_record import GuideBore
 
 PLANNER = "console.planning.serving"
@@ -95,23 +99,40 @@ def check(
     result = replace(result, warnings=(*result.warnings, *uncounted, *unjudged), head=head)
     for sentence in (*volume.warnings, *result.warnings):
         terminal.tell(f"warning: {sentence}")
+    expected = _expect_with_skin(planned, volume, fiducials_mm or ()) if result.passed else None
     if as_json:
-        terminal.print_json({**result.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
+        shown = {} if expected is None else {"expected": expected.as_payload()}
+        terminal.print_json(
+            {**result.as_payload(), **shown, "elapsed_s": round(time.perf_counter() - began_s, 3)}
+        )
     elif head is not None:
         _print_trajectories(result, head, theatre.bore if theatre else None)
         if result.only_side_tells:
             terminal.tell(planning_inputs.ONLY_THE_SIDE_TELLS)
         if result.distances:
             _print_distances(result)
+        if expected is not None:
+            print_expected([expected])
         if result.motions:
             _print_motions(result)
     result.require()
+
+
+def _expect_with_skin(
+    plan: Plan, volume: Volume, spheres_mm: Sequence[tuple[float, float, float]]
+) -> Fiducials | None:
+    """Expect the errors of a plan that has the skin registered; None of another. Raises CT-028, SRF-002."""
+    from procedures.imaging.ct_surface import find_skin
+    from procedures.planning.fiducial_choice import expect_with_skin
+
+    return expect_with_skin(find_skin(volume), spheres_mm, plan) if plan.fiducials.has_skin else None
 
 
 app.command()(from_markups)
 app.command()(to_markups)
 app.command()(template)
 app.command("markers")(marker_places)
+app.command("fiducials")(choose_fiducials)
 
 
 def _print_trajectories(result: PlanCheck, head: HeadEllipsoid, bore: GuideBore | None) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from procedures.engine.case import Case, StepKey, Stored
 from procedures.engine.errors import WRONG_RESULT
-from procedures.engine.events import EventStream, Progress
+from procedures.engine.events import EventStream, Progress, ScanProgress
 from procedures.engine.questions import Questions
 from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.results import StepResult
@@ -169,9 +169,9 @@ class StepContext:
         """SHA-256 of each picture saved so far, by file name."""
         return dict(self._pictures)
 
-    def progress(self, share: float, text: str) -> None:
+    def progress(self, share: float, text: str, scan: ScanProgress | None = None) -> None:
         """Publish progress (0..1) and current activity, then wait here if a pause was requested."""
-        self._events.publish(Progress(step=str(self.key), share=share, text=text))
+        self._events.publish(Progress(step=str(self.key), share=share, text=text, scan=scan))
         self._checkpoint.here(f"{self.key}, {text}")
 
     def watching(self, what: str) -> AbstractContextManager[None]:

@@ -63,6 +63,7 @@ INDEX_FIELDS = {
     "files": "what each file holds",
     "sha256": "hash of each file as it was exported",
     "absent": "what the run does not have, and why",
+    "withheld": "what the run has and the export leaves out, and why",
 }
 
 
@@ -176,6 +177,9 @@ FILES = {
     "registered",
     "structures.dcm": "DICOM RT Structure Set: spheres as points, trajectories as lines of two points",
     "report-page.dcm": "DICOM Secondary Capture: how the run ended, and the errors at its targets",
+    "scan.ply": "points of the scanned skin, ct <- robot, with covariances, looks and lines; "
+    "only with --with-scan",
+    "scan.vtp": "the same as VTK's poly data; only with --with-scan",
     "postoperative-report.dcm": "DICOM structured report: errors in the CT after the operation, with units",
 }
 

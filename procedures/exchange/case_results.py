@@ -90,6 +90,8 @@ class CaseResults:
         missing: dict[str, str] = {}
         if self.spheres is None:
             missing["spheres"] = ended
+        elif not self.spheres.numbered:
+            missing["spheres"] = "there are none: the case registers on the skin"
         if self.plan is None:
             return missing | {"plan, trajectories and errors": ended}
         names = [one.id for one in self.plan.plan.trajectories]

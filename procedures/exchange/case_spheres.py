@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from procedures.engine.case import Stored, results_of
+from procedures.imaging.markers import Marker
 from procedures.steps.clinical.fiducial_localization import IntraoperativeSpheres, LocalizedFiducials
 from ronna_hw.calibration import Numbers3
 from ronna_hw.evidence.inspection import Inspection
@@ -35,6 +36,11 @@ class CaseSpheres:
         found = results_of(LocalizedFiducials, run.records)
         used = [one for one in found if one.record.identifier in registration.parents]
         return cls(used[-1], _places_in_ct(found)) if used else cls.of(run.valid_records)
+
+    @property
+    def numbered(self) -> Mapping[int, Marker]:
+        """Spheres by number, from 1; none of a case that registers on the skin alone."""
+        return self.used.result.numbered
 
     @property
     def are_scanned(self) -> bool:

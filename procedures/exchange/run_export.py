@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
-from procedures.engine.case import Stored
+from procedures.engine.case import Stored, parent_of_kind, results_of
 from procedures.exchange import allowed_fields, export_tables
 from procedures.exchange.case_results import CaseResults, FindTruth, describe_prediction, read_results
 from procedures.exchange.ct_study import CtStudy, read_ct_study
@@ -20,14 +20,20 @@ from procedures.exchange.dicom_objects import encode
 from procedures.exchange.errors import NOT_WRITABLE
 from procedures.exchange.run_objects import Fits, run_objects
 from procedures.exchange.sphere_files import document, slicer_markups, table
+from procedures.exchange.surface_files import encode_scan_ply, encode_scan_vtp
 from procedures.exchange.trajectory_lines import format_lines, tabulate_lines
+from procedures.registration.surface.scan import SurfaceScan
 from procedures.reporting.run_reading import RunReading, UsedRegistration
-from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot, ScannedSurface
 from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.frames import Frame
 from ronna_hw.records import write_atomically
 
 ALL = "all"  # name of a registration that serves every trajectory
 INDEX = "export.json"
+SCAN = "scan of the skin"
+WITH_SCAN = "--with-scan"  # the option of the command
+FACE = "it shows a face, and so a person"
 
 
 @dataclass(frozen=True)
@@ -36,16 +42,23 @@ class Exported:
 
     files: tuple[Path, ...]
     absent: Mapping[str, str]
+    withheld: Mapping[str, str]  # what the run has and this export leaves out, with the reason
     study: CtStudy | None  # patient and study that the DICOM objects name
 
 
 def export_run(
-    run: Path, out: Path, find_truth: FindTruth = lambda _run: None, identity_from: Path | None = None
+    run: Path,
+    out: Path,
+    find_truth: FindTruth = lambda _run: None,
+    identity_from: Path | None = None,
+    *,
+    with_scan: bool = False,
 ) -> Exported:
     """Write the exportable results of a run to `out`.
 
     `find_truth` asks the simulated theatre of a run without a stored truth. `identity_from` is the folder of
-    the run's CT: its patient and study go into the DICOM objects. Raises EXC-002, EXC-003, EXC-004, EXC-007,
+    the run's CT: its patient and study go into the DICOM objects. `with_scan` adds a scan of the skin, which
+    shows a face and so a person. Raises EXC-002, EXC-003, EXC-004, EXC-007,
     EXC-008, REC-003, and PRO-033 before anything is written. EXC-002 also for a folder with files of another
     export.
     """
@@ -57,11 +70,19 @@ def export_run(
     texts = {**_case_texts(results), **_registration_texts(fits, results.ct)}
     objects, missing = run_objects(results, fits, () if study is None else study.slice_uids)
     absent = results.absent() | missing
+    scan = find_placed_scan(results)
+    withheld = {} if scan is None or with_scan else {SCAN: f"{FACE}; {WITH_SCAN} adds it"}
     contents = {name: text.encode() for name, text in texts.items()}
+    if scan is not None and with_scan:
+        contents |= {
+            "scan.ply": encode_scan_ply(scan, Frame.CT),
+            "scan.vtp": encode_scan_vtp(scan, Frame.CT),
+        }
     for name, made in objects.items():
         allowed_fields.require_allowed(made)  # before anybody is named in it
         contents[name] = encode(made if study is None else study.file_object(made))
-    contents = {INDEX: _index(results, contents, absent, identified=study is not None).encode(), **contents}
+    index = _index(results, contents, absent, withheld, identified=study is not None)
+    contents = {INDEX: index.encode(), **contents}
     _refuse_others(out, set(contents))
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -69,7 +90,7 @@ def export_run(
             write_atomically(out / name, content)
     except OSError as error:
         raise NOT_WRITABLE(f"cannot write into {out}: {error.strerror}") from error
-    return Exported(tuple(out / name for name in contents), absent, study)
+    return Exported(tuple(out / name for name in contents), absent, withheld, study)
 
 
 def _refuse_others(out: Path, own: set[str]) -> None:
@@ -84,6 +105,17 @@ def _refuse_others(out: Path, own: set[str]) -> None:
         )
 
 
+def find_placed_scan(results: CaseResults) -> SurfaceScan | None:
+    """Return the scan of the skin that the last registration used, placed in the CT by it; None without."""
+    by_name = {record.identifier: record for record in results.run.records}
+    for used in reversed(results.registrations):
+        scanned = parent_of_kind(used.stored.record, ScannedSurface, by_name)
+        if scanned is not None:
+            (stored,) = results_of(ScannedSurface, [scanned])
+            return stored.result.scan.placed(used.result.robot_from_ct.transform.inverse())
+    return None
+
+
 def _case_texts(results: CaseResults) -> dict[str, str]:
     """Format what is in the CT: lines, errors and spheres, as far as the run has them."""
     ct, lines, tables = results.ct, results.lines, dict[str, str]()
@@ -94,8 +126,8 @@ def _case_texts(results: CaseResults) -> dict[str, str]:
     }
     if results.plan is not None:
         tables = {"lines.csv": tabulate_lines(lines, ct), "errors.csv": results.tabulate_errors()}
-    if results.spheres is not None:
-        numbered, in_ct_mm = results.spheres.used.result.numbered, results.spheres.planning_ct_mm
+    if results.spheres is not None and results.spheres.numbered:
+        numbered, in_ct_mm = results.spheres.numbered, results.spheres.planning_ct_mm
         plain = {
             number: {
                 **allowed_fields.pick_allowed(one.model_dump(mode="json"), allowed_fields.SPHERE_FIELDS),
@@ -171,9 +203,14 @@ def _relabel(used: UsedRegistration, labels: Mapping[str, str]) -> RegisteredRob
 
 
 def _index(
-    results: CaseResults, contents: Mapping[str, bytes], absent: Mapping[str, str], *, identified: bool
+    results: CaseResults,
+    contents: Mapping[str, bytes],
+    absent: Mapping[str, str],
+    withheld: Mapping[str, str],
+    *,
+    identified: bool,
 ) -> str:
-    """Format the index: frame, unit and UIDs, what each file holds with its hash, and what is absent."""
+    """Format the index: frame, unit and UIDs, files with hashes, what is absent and what is withheld."""
     ending = results.ending
     meanings = {
         name: next(meaning for known, meaning in allowed_fields.FILES.items() if fnmatch(name, known))
@@ -187,5 +224,6 @@ def _index(
         "code": ending.code,
     }
     files = {"files": meanings, "sha256": hashes, "absent": dict(absent)}
+    files["withheld"] = dict(withheld)
     content = {**results.ct.describe(export_tables.IN_CT), **ended, **files}
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

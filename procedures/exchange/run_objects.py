@@ -41,7 +41,7 @@ def run_objects(
     key = hashlib.sha256(page.tobytes()).hexdigest()
     objects["report-page.dcm"] = report_page(page, _origin(results, key, latest))
     if results.spheres is not None:
-        spheres = name_spheres(results.spheres.used.result.numbered)
+        spheres = name_spheres(results.spheres.numbered)
         objects |= _registered(results, fits)
         plain = [marker.model_dump(mode="json") for marker in spheres.values()]
         content = [plain, [(one.label, one.kind, *one.entry_mm, *one.end_mm) for one in lines]]
@@ -60,12 +60,12 @@ def run_objects(
 
 
 def _registered(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
-    """Build the spheres' object, and one for each registration, which names the spheres it used."""
+    """Build the object of the spheres, if any, and one for each registration, which names those it used."""
     assert results.spheres is not None, "the caller has them"
-    spheres = results.spheres.used.result.numbered
+    spheres = results.spheres.numbered
     origin = _record_origin(results, results.spheres.used.record)
     described = (SCANNED,) if results.spheres.are_scanned else ()
-    objects = {"spheres.dcm": dicom_objects.sphere_fiducials(spheres, origin, *described)}
+    objects = {"spheres.dcm": dicom_objects.sphere_fiducials(spheres, origin, *described)} if spheres else {}
     uids = [dicom_objects.fiducial_uid(origin, name) for name in name_spheres(spheres)]
     for label, fit in fits.items():
         objects[f"registration-{label}.dcm"] = dicom_objects.spatial_registration(

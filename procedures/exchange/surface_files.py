@@ -1,12 +1,13 @@
 """Scan of a surface as PLY (points for any viewer) and as VTP (VTK's poly data, for ParaView and 3D Slicer).
 
-Both are text with full precision, written with the standard library: of the packages that write them, meshio
-has no VTP, and VTK has a hundred megabytes. Coordinates are mm in the named frame, which both files say.
+Written with the standard library: of the packages that write them, meshio has no VTP, and VTK has a hundred
+megabytes. Coordinates are mm in the named frame, which both files say.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Mapping
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,35 +15,48 @@ from numpy.typing import NDArray
 
 from procedures.registration.surface.scan import SurfaceScan
 from ronna_hw.frames import Frame
-from ronna_hw.records import write_atomically
 
 # Rows and columns of the upper triangle, in VTK's order of a symmetric tensor
 TENSOR_ROWS, TENSOR_COLUMNS = (0, 1, 2, 0, 1, 0), (0, 1, 2, 1, 2, 2)
 TENSOR_NAMES = ("xx", "yy", "zz", "xy", "yz", "xz")
 NUMBER = "%.9g"  # a nanometre at one metre
+PLY_TYPES = {"<f8": "double", "<f4": "float", "<i4": "int"}
 
 
-def write_ply(scan: SurfaceScan, file: Path, frame: Frame = Frame.ROBOT) -> None:
-    """Write the points with view, covariance, look and line as properties of each vertex."""
-    decimal = ["x", "y", "z", "view_x", "view_y", "view_z", *(f"covariance_{each}" for each in TENSOR_NAMES)]
-    header = [
+def encode_scan_ply(scan: SurfaceScan, frame: Frame = Frame.ROBOT) -> bytes:
+    """Encode the points with view, covariance, look and line as properties of each vertex."""
+    tensor = _tensor(scan)
+    columns = {
+        **{name: scan.points_mm[:, axis].astype("<f8") for axis, name in enumerate("xyz")},
+        **{f"view_{name}": scan.view_mm[:, axis].astype("<f8") for axis, name in enumerate("xyz")},
+        **{f"covariance_{name}": tensor[:, place].astype("<f8") for place, name in enumerate(TENSOR_NAMES)},
+        "look": scan.look.astype("<i4"),
+        "line": scan.line.astype("<i4"),
+    }
+    return encode_ply(columns, f"points of a scanned surface, mm, in the frame {frame}; covariances in mm2")
+
+
+def encode_ply(columns: Mapping[str, NDArray[Any]], comment: str) -> bytes:
+    """Encode vertices with these properties as a binary PLY file."""
+    rows = np.zeros(
+        len(next(iter(columns.values()))), dtype=[(name, one.dtype) for name, one in columns.items()]
+    )
+    for name, one in columns.items():
+        rows[name] = one
+    head = [
         "ply",
-        "format ascii 1.0",
-        f"comment points of a scanned surface, mm, in the frame {frame}; covariances in mm2",
-        f"element vertex {len(scan)}",
-        *(f"property double {each}" for each in decimal),
-        "property int look",
-        "property int line",
+        "format binary_little_endian 1.0",
+        f"comment {comment}",
+        f"element vertex {len(rows)}",
+        *(f"property {PLY_TYPES[one.dtype.str]} {name}" for name, one in columns.items()),
         "end_header",
+        "",
     ]
-    columns = np.column_stack([scan.points_mm, scan.view_mm, _tensor(scan), scan.look, scan.line])
-    form = " ".join([*[NUMBER] * len(decimal), "%d", "%d"])
-    rows = [form % tuple(row) for row in columns.tolist()]
-    write_atomically(file, ("\n".join([*header, *rows]) + "\n").encode("ascii"))
+    return "\n".join(head).encode("ascii") + rows.tobytes()
 
 
-def write_vtp(scan: SurfaceScan, file: Path, frame: Frame = Frame.ROBOT) -> None:
-    """Write the points as one vertex cell each, with the same values as point data."""
+def encode_scan_vtp(scan: SurfaceScan, frame: Frame = Frame.ROBOT) -> bytes:
+    """Encode the points as one vertex cell each, with the same values as point data, in text."""
     count = str(len(scan))
     root = ElementTree.Element("VTKFile", type="PolyData", version="1.0", byte_order="LittleEndian")
     data = ElementTree.SubElement(root, "PolyData")
@@ -63,7 +77,7 @@ def write_vtp(scan: SurfaceScan, file: Path, frame: Frame = Frame.ROBOT) -> None
     cells = ElementTree.SubElement(piece, "Verts")
     _add(cells, "connectivity", np.arange(len(scan)))
     _add(cells, "offsets", np.arange(len(scan)) + 1)
-    write_atomically(file, ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 def _tensor(scan: SurfaceScan) -> NDArray[np.float64]:

@@ -152,7 +152,8 @@ class PatientFrames:
 
     @property
     def _both(self) -> tuple[HeadFrames, ...]:
-        spheres = (self.spheres,) if len(self.spheres.spheres_mm) or self.clamp is None else ()
+        enough = len(self.spheres.spheres_mm) >= LEAST_POINTS or self.clamp is None
+        spheres = (self.spheres,) if enough else ()
         return spheres if self.clamp is None else (*spheres, self.clamp)
 
 

@@ -224,11 +224,15 @@ def _patient_moved(
 def find_unseen(expected: Expected, reading: RoomReading) -> errors.PatientUnseen | None:
     """Return the error for points near the head at no known position, which may be displaced spheres.
 
-    Only where fewer than three known spheres are seen. Ghosts do not count.
+    Only where fewer than three known spheres are seen of a head that has as many. Ghosts do not count.
     """
     seen_mm = reading.spheres_mm
     head = HeadSeen.of(expected)
-    if not len(seen_mm) or not len(expected.spheres_mm) or (head is not None and not head.by_frame):
+    if (
+        not len(seen_mm)
+        or len(expected.spheres_mm) < LEAST_POINTS
+        or (head is not None and not head.by_frame)
+    ):
         return None
     apart = np.linalg.norm(seen_mm[:, None] - expected.spheres_mm[None], axis=2).min(axis=1)
     ghosts = find_ghosts(expected.spheres_mm, reading.markers_mm, seen_mm, expected.sensors_mm)

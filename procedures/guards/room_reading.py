@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.registration.movement import NEAR_MM, identify_points
+from procedures.registration.movement import LEAST_POINTS, NEAR_MM, identify_points
 from procedures.room.sighting import (
     Rest,
     SeenFrame,
@@ -90,9 +90,13 @@ class RoomReading:
 
     @property
     def head_mm(self) -> Array:
-        """Points (m, 3) that move with the head, tracker frame: strays, else markers of the clamp's frame."""
+        """Points (m, 3) that move with the head, tracker frame: strays, else markers of the clamp's frame.
+
+        Fewer than three strays do not show how a head has moved.
+        """
         on_clamp = self.frames.get(Tracked.CLAMP)
-        return on_clamp.markers_mm if on_clamp is not None and not self.groups else self.spheres_mm
+        by_frame = on_clamp is not None and len(self.groups) < LEAST_POINTS
+        return on_clamp.markers_mm if on_clamp is not None and by_frame else self.spheres_mm
 
     @property
     def on_clamp(self) -> Transform | None:

@@ -24,6 +24,7 @@ from procedures.guards.room_reading import (
     room_reading,
 )
 from procedures.planning.tracker_sight import TrackerSight
+from procedures.registration.movement import LEAST_POINTS
 from procedures.room.estimate import AXES, FALSE_ALARM, GUIDE_AT_HEAD, Displacement, RoomEstimate
 from procedures.room.model import Body, Places, Rows, TrackedArm
 from procedures.room.motion import Moved, RoomMotion, find_hidden_motion, find_motion
@@ -263,8 +264,8 @@ class RoomWatch:
         reading, rows, motion, expected = judged.reading, judged.rows, judged.motion, self.expected(judged)
         head = room_motion.HeadSeen.of(expected)
         base_mm = None if expected.arm_way_mm is None else float(np.linalg.norm(expected.arm_way_mm))
-        # Of a head without spheres the frame on its clamp is all there is to see.
-        by_frame = head is not None and head.by_frame and len(self.spheres_mm) > 0
+        # Of a head with few spheres, or none, the frame on its clamp is what shows it.
+        by_frame = head is not None and head.by_frame and len(self.spheres_mm) >= LEAST_POINTS
         moved: Refusal | None = None
         if motion is not None:
             at_head = self.head_sight.under_way or reading.on_axis

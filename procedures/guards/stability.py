@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from pydantic import Field
@@ -26,7 +26,7 @@ GUIDE_NOTICEABLE_MM, REPEATABLE_MM = 0.05, 0.015
 
 CONFIRMATION = "confirmation"
 LOOKS_AT_ROOM = (
-    *("global_localization", "relocalization", "tool_change", "tool_check", "positioning"),
+    *("global_localization", "relocalization", "surface_scan", "tool_change", "tool_check", "positioning"),
     CONFIRMATION,
 )
 
@@ -96,11 +96,28 @@ WATCHED_SUBJECTS = (
         "rays that meet and spheres of the right size",
         "as the stereo head's record states",
         ("relocalization",),
-        ("relocalization",),
+        ("relocalization", "surface_scan"),
     ),
     WatchedSubject(Subject.INPUTS, "their content", "any byte", ("ct_import", "plan_check", "cart_lock")),
     WatchedSubject(Subject.CLOCK, "the monotonic clock", "a step of 1 s", ()),
 )
+
+
+# Of a head that is registered on its skin: how it is seen, and what hangs on it.
+ON_SKIN = {
+    Subject.HEAD: ("the frame on its clamp, by the tracker", ("global_localization", "surface_registration")),
+    Subject.CAMERAS: ("rays that meet, and lines in one plane of light", ("surface_scan",)),
+}
+
+
+def watched_subjects(*, on_skin: bool) -> tuple[WatchedSubject, ...]:
+    """Return the watched subjects of a case with spheres, or of one that registers on the skin alone."""
+    if not on_skin:
+        return WATCHED_SUBJECTS
+    words = {one.subject: ON_SKIN.get(one.subject, (one.seen_by, one.hangs)) for one in WATCHED_SUBJECTS}
+    return tuple(
+        replace(one, seen_by=words[one.subject][0], hangs=words[one.subject][1]) for one in WATCHED_SUBJECTS
+    )
 
 
 def last_seen_s(journal: Iterable[Line], confirms: Callable[[str, Subject], bool]) -> dict[Subject, float]:

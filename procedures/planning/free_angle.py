@@ -29,7 +29,7 @@ from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, list_localizations
 from procedures.registration.movement import LEAST_POINTS
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strategy
-from procedures.strategies.skin_looks import SkinLooks
+from procedures.strategies.skin_looks import SKIN, SkinLooks
 from procedures.strategies.strategy import (
     FURTHEST_RAD,
     OUTWARDS_RAD,
@@ -198,6 +198,9 @@ class _Search:
 
         def turns_along(one: Trajectory) -> Iterator[float]:
             axis = axes.only(one.identifier)
+            if one.identifier == SKIN:  # these poses are given
+                yield 0.0
+                return
             for turn in setting.strategy.turns_rad(one, self.fiducials_mm, setting.robot_from_ct, arm):
                 if not self.hidden(_turn(axis, turn), branch):
                     yield turn
@@ -207,6 +210,8 @@ class _Search:
     def hidden(self, axis: Axes, branch: Branch) -> tuple[Unmet, ...]:
         unmet: list[Unmet] = []
         for one in axis.localized:
+            if one.identifier == SKIN:  # chosen for what they see
+                continue
             try:
                 visits = list_localizations(self.setting, one, self.fiducials_mm, branch)
             except LimitError as error:
@@ -276,7 +281,7 @@ def find_alternatives(
     The trajectory and the fiducials (n, 3) are in CT mm. The case's own and those already tried are left out.
     """
     if isinstance(setting.strategy, SkinLooks) or not _is_target_reachable(setting, trajectory):
-        return ()  # the skin is scanned once, in poses of its own
+        return ()  # without spheres there is but one
     known = {setting.strategy.name, *tried}
     if isinstance(setting.strategy, BestOfEach):
         known |= {one.name for one in CANDIDATES}
@@ -284,7 +289,9 @@ def find_alternatives(
     return tuple(
         one
         for one in candidates
-        if choose_free_angles(replace(setting, strategy=one), (trajectory,), fiducials_mm, sight).check.passed
+        if choose_free_angles(
+            replace(setting, strategy=one, skin_looks=()), (trajectory,), fiducials_mm, sight
+        ).check.passed
     )
 
 

@@ -20,8 +20,10 @@ from procedures.planning.motions import find_unclear
 from procedures.planning.paths import solve_visit
 from procedures.planning.visits import ArmSetting, PathCheck, Reached, Unmet, list_localizations
 from procedures.registration.look_choice import Candidates, choose_looks
+from procedures.registration.points import FEWEST_PAIRS
 from procedures.strategies.catalogue import CANDIDATES
 from procedures.strategies.names import DEFAULT_STRATEGY
+from procedures.strategies.skin_looks import SKIN
 from procedures.strategies.strategy import arrival_signs
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
@@ -50,6 +52,9 @@ def choose_learning_looks(
     check, fiducials = turned.check, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     if not setting.strategy.learns_arm or not check.passed or check.branch is None or not len(fiducials):
         return turned
+    if len(fiducials) < FEWEST_PAIRS:
+        return replace(turned, remark=_tell_fallback(f"the choice needs {FEWEST_PAIRS} spheres", ()))
+    at_skin = [one for one in check.reached if one.visit.name.trajectory == SKIN]
     axes = turned.axes.targeted
     targets = check.targets
     looks = list(_list_looks(setting, axes, targets, fiducials, check.branch, sight))
@@ -62,7 +67,7 @@ def choose_learning_looks(
                 turned, remark=_tell_fallback(f"no pose to choose from sees sphere {names}", unclear)
             )
         chosen = _order(setting.start_rad, _choose(setting, looks, targets, fiducials, axes))
-        found = _check(setting, check, (*chosen, *targets), axes)
+        found = _check(setting, check, (*chosen, *at_skin, *targets), axes)
         if found.passed:
             return replace(turned, check=found)
         unclear = found.unmet

@@ -57,14 +57,6 @@ class StereoSight:
         return tuple(found)
 
 
-@dataclass(frozen=True)
-class SkinSight(StereoSight):
-    """Sight of bare skin: there are no spheres that could hide each other."""
-
-    def unmet(self, visits: Sequence[Visit], spheres_mm: ArrayLike) -> tuple[Unmet, ...]:
-        return ()
-
-
 def _projection_centre(camera: CameraCalibration) -> Array:
     """Return the projection centre of either camera in the tool frame."""
     return camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL).inverse().translation_mm

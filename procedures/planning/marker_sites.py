@@ -99,7 +99,7 @@ def propose_markers(
     another. The best of many random sets, improved by exchanging one marker at a time. Raises PLAN-021.
     """
     random = np.random.default_rng(seed)
-    centres, posts = _find_free_sites(head, trajectories, volume, random)
+    centres, posts = list_free_sites(head, trajectories, volume, random)
     targets = np.array([one.target_mm for one in trajectories])
     sets = np.empty((0, count), np.int64)
     if len(centres):
@@ -139,7 +139,7 @@ def propose_further(
     seed: int = 0,
 ) -> FurtherMarker:
     """Find the best position for one marker besides those at `present_mm` (n, 3). Raises PLAN-021."""
-    centres, _ = _find_free_sites(head, trajectories, volume, np.random.default_rng(seed))
+    centres, _ = list_free_sites(head, trajectories, volume, np.random.default_rng(seed))
     is_apart = np.linalg.norm(centres[:, None] - present_mm, axis=2).min(axis=1) >= APART_MM
     if not is_apart.any():
         raise NO_MARKER_SITES("there is no room for one more marker clear of the trajectories and the others")
@@ -192,7 +192,7 @@ def propose_template(
     )
 
 
-def _find_free_sites(
+def list_free_sites(
     head: HeadEllipsoid,
     trajectories: Sequence[Trajectory],
     volume: Volume | None,

@@ -250,7 +250,7 @@ def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
                 got=f"{volume.patient_position} (of the CT)",
             )
         )
-    if 0 < plan.implanted < FEWEST_THAT_TELL_A_MOVE:
+    if plan.implanted < FEWEST_THAT_TELL_A_MOVE and not plan.fiducials.has_skin:  # which would tell
         warnings.append(f"with {plan.implanted} fiducials a displaced one cannot be detected")
     return findings, warnings
 
@@ -264,7 +264,8 @@ def _check_fiducials(plan: Plan, points_mm: Array) -> CheckResult:
         return _check_frame(points_mm)
     if len(points_mm) == plan.implanted:
         if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
-            return [], warn_of_ambiguity(points_mm)
+            is_matched = not plan.fiducials.has_skin  # else landmarks tell the spheres apart
+            return [], warn_of_ambiguity(points_mm) if is_matched else []
         return [NOT_THE_TEMPLATE("the fiducials in the CT do not match the plan's template")], []
     words = "the CT shows a different number of fiducials"
     return [WrongMarkerCount(words, expected=str(plan.implanted), got=str(len(points_mm)))], []

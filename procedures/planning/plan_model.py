@@ -26,6 +26,7 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 SCHEMA_VERSION = 1
 FEWEST_MARKERS, MOST_MARKERS = 3, 8
+MOST_BESIDE_SKIN = 3  # with more, spheres alone are as accurate
 MOST_TRAJECTORIES = 100  # ten times a large implantation of electrodes
 UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
 LONGEST_AUTHOR = 60
@@ -66,13 +67,26 @@ UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "D
 class FiducialKind(StrEnum):
     """Kind of fiducials: spheres on screws, the x-shaped frame, adhesive rings, or the surface of the head.
 
-    Only the CT shows adhesive rings: a plan may name them, a case refuses it.
+    `MIXED` is the surface with a few spheres on screws. Only the CT shows adhesive rings: a plan may name
+    them, a case refuses it.
     """
 
     FREE = "free"
     XFRAME = "xframe"
     ADHESIVE = "adhesive"
     SURFACE = "surface"
+    MIXED = "mixed"
+
+    @property
+    def has_skin(self) -> bool:
+        """Whether the skin is registered, alone or with spheres."""
+        return self in (FiducialKind.SURFACE, FiducialKind.MIXED)
+
+    @property
+    def fewest_and_most(self) -> tuple[int, int]:
+        """Smallest and largest number of markers on the head."""
+        on_skin = {FiducialKind.SURFACE: (0, 0), FiducialKind.MIXED: (1, MOST_BESIDE_SKIN)}
+        return on_skin.get(self, (FEWEST_MARKERS, MOST_MARKERS))
 
 
 class PlannedTrajectory(Strict):
@@ -208,11 +222,13 @@ class Plan(Strict):
         default=None, description="Patient position on the operating table, if not as in the scanner."
     )
     implanted: int = Field(
-        ge=0, le=MOST_MARKERS, description="Markers on the head, 3 to 8; none with the surface as fiducial."
+        ge=0,
+        le=MOST_MARKERS,
+        description="Markers on the head, 3 to 8; none with the surface as fiducial, 1 to 3 beside it.",
     )
     fiducials: FiducialKind = Field(
-        description="Single spheres, the x-shaped frame, the head's surface, or adhesive rings, with which "
-        "no case begins."
+        description="Single spheres, the x-shaped frame, the head's surface alone or with spheres (mixed), "
+        "or adhesive rings, with which no case begins."
     )
     template_mm: tuple[Point, ...] | None = Field(
         default=None,
@@ -249,7 +265,7 @@ class Plan(Strict):
 
     @model_validator(mode="after")
     def _check_implanted(self) -> Plan:
-        fewest, most = (0, 0) if self.fiducials is FiducialKind.SURFACE else (FEWEST_MARKERS, MOST_MARKERS)
+        fewest, most = self.fiducials.fewest_and_most
         if not fewest <= self.implanted <= most:
             raise PydanticCustomError(
                 "implanted",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -10,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from procedures.planning.paths import solve_visit
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, Reached, Visit
+from procedures.registration.surface.regions import HeadAxes
+from procedures.registration.surface.surface import Surface
 from procedures.strategies.skin_looks import SKIN
 from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.strategies.trajectory import tool_pose
@@ -17,15 +21,22 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.motion.planning import plan_joint_move
-from ronna_hw.arrays import Array
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform, perpendicular_axes
-from ronna_hw.vectors import JointVector
 
+# Parts that hair grows on or that lie on the headrest, where a line does not show the skin; and the jaw,
+# which opens.
+NOT_SCANNED = ("vault", "occiput", "neck", "jaw")
 TRIED_FOR_EACH = 3  # places on the skin for each view that is asked for
 TILTS_RAD = tuple(np.radians((0.0, 20.0, 40.0)))  # from the skin's normal; the line still lights it well
 AZIMUTHS, ROLLS = 6, 12
 MOST_SWEPT = 4  # poses at one place that are checked for clearance
+
+
+def mark_scannable(skin: Surface) -> Mask:
+    """Mark the places of the skin (n,) that a scan is planned for."""
+    return np.asarray(~np.isin(HeadAxes.of(skin).name_parts(skin.points_mm), NOT_SCANNED))
 
 
 def choose_views(
@@ -37,7 +48,7 @@ def choose_views(
     """
     turn = setting.robot_from_ct.rotation_matrix
     places, outwards = np.asarray(setting.robot_from_ct.apply(skin_ct_mm)), normals_ct @ turn.T
-    around = _around(setting)
+    around = head_around(setting)
     found: list[Reached] = []
     for row in spread_rows(places, TRIED_FOR_EACH * count):
         if len(found) == count:
@@ -48,32 +59,21 @@ def choose_views(
     return tuple(found)
 
 
-def order_views(setting: ArmSetting, views: Sequence[Reached]) -> tuple[Reached, ...]:
-    """Order views so that the joints turn little: on to the nearest that can be reached directly."""
-    around = _around(setting)
-    here, rest, ordered = setting.start_rad, list(views), list[Reached]()
-    while rest:
-        rest.sort(key=lambda one: float(np.abs(np.subtract(one.at_rad, here)).max()))
-        best = next((one for one in rest[:MOST_SWEPT] if _goes_directly(setting, here, one, around)), rest[0])
-        rest.remove(best)
-        ordered.append(best)
-        here = best.at_rad
-    return tuple(ordered)
-
-
-def _around(setting: ArmSetting) -> Surroundings | None:
+def head_around(setting: ArmSetting) -> Surroundings | None:
+    """Return the surroundings of the stereo head at its looks, or None without a scene."""
     if setting.scene is None:
         return None
     return setting.scene.with_stereo_head(setting.robot_from_ct, _stereo_head(setting))
 
 
-def _goes_directly(
-    setting: ArmSetting, here: JointVector, view: Reached, around: Surroundings | None
-) -> bool:
-    plan = plan_joint_move(setting.kinematics, here, view.at_rad, setting.limits)
-    return (
-        around is None or sweep_path(setting.kinematics, plan, around, search_closest=False).refused is None
-    )
+def turned_about_axis(setting: ArmSetting, view: Reached) -> Iterator[Reached]:
+    """Yield a view turned about the tool axis, as far as the arm reaches it in its branch."""
+    visit, branch = view.visit, setting.kinematics.branch_of(view.at_rad)
+    for roll in np.arange(1, ROLLS) * 2.0 * np.pi / ROLLS:
+        turned = visit.pose.rotation_matrix @ Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix()
+        pose = tool_pose(Rotation.from_matrix(turned), visit.pose.translation_mm)
+        with suppress(LimitError):
+            yield _solve(setting, branch, replace(visit, pose=pose))
 
 
 def spread_rows(places_mm: Array, count: int) -> list[int]:
@@ -100,25 +100,24 @@ def _find_view(
         for pose in _list_poses(place_mm, outwards, float(tilt_rad)):
             visit = Visit(PoseName(PoseKind.FIDUCIAL, SKIN, 0), pose, setting.approach_mm)
             try:
-                one = solve_visit(
-                    setting.kinematics,
-                    visit,
-                    _stereo_head(setting),
-                    branch,
-                    setting.start_rad,
-                    setting.limits,
-                )
+                one = _solve(setting, branch, visit)
             except LimitError:
                 continue
             reached.append((float(np.abs(np.array(one.at_rad) - start).max()), one))
         reached.sort(key=lambda item: item[0])
         for _, one in reached[:MOST_SWEPT]:
-            if around is None or _is_clear(setting, one, around):
+            if around is None or is_clear(setting, one, around):
                 return one
     return None
 
 
-def _is_clear(setting: ArmSetting, reached: Reached, around: Surroundings) -> bool:
+def _solve(setting: ArmSetting, branch: Branch, visit: Visit) -> Reached:
+    return solve_visit(
+        setting.kinematics, visit, _stereo_head(setting), branch, setting.start_rad, setting.limits
+    )
+
+
+def is_clear(setting: ArmSetting, reached: Reached, around: Surroundings) -> bool:
     """Return whether a view can be approached from home, and left for home, without touching anything."""
     arm, home_rad = setting.kinematics, approach_joints(setting.start_rad, ONE_SIDE)
     home = plan_joint_move(arm, reached.approach_rad, home_rad, setting.limits)

@@ -37,6 +37,7 @@ from procedures.registration.error_sources import (
     SCAN,
     SEATING,
 )
+from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import (
     IndependentErrors,
     SharedErrors,
@@ -44,6 +45,7 @@ from procedures.registration.target_prediction import (
     predict_target_error,
 )
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach
+from procedures.strategies.skin_looks import SKIN
 from procedures.strategies.strategy import rest_sides
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arrays import Array
@@ -137,7 +139,11 @@ def predict_with_arm(
 def select_poses(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
     """Select a target and its localizations from a passed check."""
     target = check.at(PoseName(PoseKind.TARGET, identifier))
-    all_localizations = [one for one in check.reached if one.visit.name.kind is PoseKind.FIDUCIAL]
+    all_localizations = [
+        one
+        for one in check.reached
+        if one.visit.name.kind is PoseKind.FIDUCIAL and one.visit.name.trajectory != SKIN
+    ]
     own = [one for one in all_localizations if one.visit.name.trajectory == identifier]
     return own if setting.strategy.localizes_per_trajectory else all_localizations, target
 
@@ -202,7 +208,7 @@ def choose_best_strategies(
     for one in trajectories:
         predicted_mm = {}
         for candidate in CANDIDATES:
-            alone = replace(setting, strategy=candidate)
+            alone = replace(setting, strategy=candidate, skin_looks=())
             turned = choose_free_angles(alone, (one,), fiducials_mm, sight)
             if turned.check.passed:
                 predicted_mm[candidate] = predict_arm_error_mm(alone, turned.check, one)
@@ -221,4 +227,18 @@ def predict_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Traj
     spheres = np.array([one.visit.pose.translation_mm for one in sphere_visits])
     tip = np.asarray(setting.robot_from_ct.apply(trajectory.target_mm))
     sources = arm_error_sources(setting, check, trajectory.identifier, tip)
+    if len(spheres) < FEWEST_PAIRS:
+        return _rms_of_shift(sources)
     return predict_target_error(spheres, tip, sources).rms_mm
+
+
+def _rms_of_shift(sources: Iterable[SharedErrors | IndependentErrors]) -> float:
+    """Return the rms arm error at a target where few spheres give the place, and the skin the orientation."""
+    square_mm2 = 0.0
+    for one in sources:
+        if isinstance(one, SharedErrors):
+            square_mm2 += float(np.sum((one.at_target_mm - one.at_spheres_mm.mean(axis=0)) ** 2))
+        else:
+            of_mean = one.at_spheres_mm2.sum(axis=0) / len(one.at_spheres_mm2) ** 2
+            square_mm2 += float(np.trace(one.at_target_mm2 + of_mean))
+    return float(square_mm2**0.5)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from procedures.planning.errors import NotReachable
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.scene import PlanningScene
+from procedures.strategies.skin_looks import SKIN, skin_axis
 from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames, target_pose
 from ronna_hw.arm.kinematics import Branch, Kinematics
@@ -136,7 +137,8 @@ class ArmSetting:
     states for its operating mode. With a `scene`, every motion must also be clear of everything in it.
     `sizes` are those of the arm's remaining errors. `gauge_rad` is where the guide is checked after mounting;
     None leaves that out. With `sights` of a tracker on the head, targets that leave one of them open past the
-    guide are preferred.
+    guide are preferred. `skin_looks` are given poses ROBOT <- TOOL with the tool centre on the skin, in their
+    order, for all targets; the strategy is for the fiducials.
     """
 
     kinematics: Kinematics
@@ -151,6 +153,7 @@ class ArmSetting:
     sizes: ErrorSizes = UNCALIBRATED
     gauge_rad: JointVector | None = None
     sights: Sequence[TrackerSight] = ()
+    skin_looks: Sequence[Transform] = ()
 
     def __post_init__(self) -> None:
         """Raise FRM-001 if a transform has the wrong frames."""
@@ -183,8 +186,10 @@ class Axes:
 
     @classmethod
     def of(cls, setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike) -> Self:
-        """Return the axes chosen by the strategy, at the planned free angles."""
+        """Return the axes chosen by the strategy, at the planned free angles, and one for all skin looks."""
         along = setting.strategy.localized_along(trajectories, fiducials_mm, setting.robot_from_ct)
+        if setting.skin_looks:
+            along = (*along, skin_axis(setting.skin_looks, setting.robot_from_ct))
         return cls(along, tuple(trajectories))
 
     @property
@@ -229,7 +234,9 @@ def list_localizations(
     """List the localization poses of fiducials (n, 3) in CT mm along one axis. Raises like `list_visits`."""
     points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     arm = setting.in_branch(branch)
-    poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)
+    poses: Sequence[Transform] = setting.skin_looks
+    if axis.identifier != SKIN:
+        poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)
     return tuple(
         Visit(PoseName(PoseKind.FIDUCIAL, axis.identifier, index), pose, setting.approach_mm)
         for index, pose in enumerate(poses)

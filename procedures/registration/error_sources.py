@@ -9,6 +9,11 @@ SCAN = "scan as a whole"
 SCAN_PLACE = "place of the scan in the CT"  # of one taken during the operation
 FUSION = "fusion"
 
+# Skin, in the place of spheres or beside some.
+SKIN = "skin that differs from the CT"
+LINE = "measurement of the points of the scan"
+SPHERES = "spheres beside the skin: CT, seating and stereo measurement"
+
 # Arm.
 LINKS = "links and joint offsets"
 HARMONICS = "harmonics and sag"

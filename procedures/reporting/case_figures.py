@@ -19,6 +19,7 @@ from procedures.operator.question import Evidence, PredictedError
 from procedures.reporting.pictures import timeline_figure
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.run_statistics import timeline
+from procedures.reporting.sections.surface import SURFACE_PICTURES, SurfaceSection, read_surface
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget import budget_table, two_way_table
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -65,6 +66,7 @@ class CaseFigures:
     pictures: tuple[str, ...] = ()  # names in the folder `pictures`, from the stereo head
     cuts: tuple[str, ...] = ()  # and those of the planned trajectories in the CT
     problems: tuple[str, ...] = ()  # what cannot be read, or has changed since the run
+    surface: SurfaceSection | None = None  # registration on the skin
     course: str = ""  # SVG of the run's theatre time
 
 
@@ -94,10 +96,11 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
         ),
         tables=(
             *(budget_table(one) for one in predictions),
-            *([two_way_table(registered[-1].two_way)] if registered else ()),
+            *([two_way_table(registered[-1].two_way)] if registered and registered[-1].pairs else ()),
         ),
         problems=(*reading.changes, *reading.problems),
-        pictures=_pictures(folder, "stereo-"),
+        pictures=(*_pictures(folder, "stereo-"), *_pictures(folder, SURFACE_PICTURES)),
+        surface=read_surface(reading),
         cuts=_pictures(folder, PLAN_PICTURE),
         course=timeline_figure(spans) if spans else "",
     )

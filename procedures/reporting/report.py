@@ -41,7 +41,7 @@ from procedures.reporting.sections.header import Header, RunOpening, read_header
 from procedures.reporting.sections.plan import PlanSection, read_plan
 from procedures.reporting.sections.spheres import Spheres, read_spheres
 from procedures.reporting.sections.stability import Stability, read_stability
-from procedures.reporting.sections.surface import SurfaceSection, read_surface
+from procedures.reporting.sections.surface import SURFACE_PICTURES, SurfaceSection, read_surface
 from procedures.reporting.sections.targets import Targets, read_targets
 from procedures.reporting.sections.two_arms import TwoArms, read_two_arms
 from procedures.reporting.sections.verdict import VerdictSection, describe_exclusions, read_assistant_work
@@ -70,6 +70,7 @@ class Page:
     plan: PlanSection | None
     registrations: tuple[UsedRegistration, ...]
     surface: SurfaceSection | None
+    surface_pictures: tuple[Picture, ...]
     spheres: Spheres
     course: Course
     devices: Devices
@@ -152,6 +153,7 @@ def _read_page(
         plan=plan,
         registrations=reading.registrations,
         surface=read_surface(reading),
+        surface_pictures=load_pictures(reading, SURFACE_PICTURES),
         spheres=read_spheres(reading, truth),
         course=read_course(reading, opening.processor),
         devices=read_devices(reading),

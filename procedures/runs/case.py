@@ -61,33 +61,30 @@ def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder
 
 
 def strategy_of(case: CaseProcedure, plan: Plan | None) -> Strategy:
-    """Return the strategy of a case; one that registers on the skin has its own."""
+    """Return the strategy of a case; without any sphere there is but one."""
+    from procedures.planning.plan_model import FiducialKind
     from procedures.strategies.catalogue import find_strategy
     from procedures.strategies.skin_looks import SkinLooks
 
-    return SkinLooks() if registers_on_skin(plan) else find_strategy(case.strategy)
-
-
-def registers_on_skin(plan: Plan | None) -> bool:
-    """Whether a plan has the skin registered instead of markers."""
-    from procedures.planning.plan_model import FiducialKind
-
-    return plan is not None and plan.fiducials is FiducialKind.SURFACE
+    without_spheres = plan is not None and plan.fiducials is FiducialKind.SURFACE
+    return SkinLooks() if without_spheres else find_strategy(case.strategy)
 
 
 def _require_one_change(case: CaseProcedure, plan: Plan) -> None:
     """Raise CLI-001 for a case on the skin with an assistant, or with a scan during the operation."""
     from ronna_hw.command_line.errors import UsageMistake
 
-    if registers_on_skin(plan) and (len(case.roles) > 1 or case.intraoperative):
+    if plan.fiducials.has_skin and (len(case.roles) > 1 or case.intraoperative):
         raise UsageMistake(
-            'the plan has fiducials = "surface", which neither --dual nor --intraoperative is made for',
+            f'the plan has fiducials = "{plan.fiducials}", which neither --dual nor --intraoperative is made '
+            "for",
             action="Omit the option, or register by markers.",
         )
 
 
 def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
     from procedures.engine.order import order_of
+    from procedures.planning.plan_model import FiducialKind
     from procedures.steps.catalogue import clinical_steps
 
     return order_of(
@@ -95,7 +92,7 @@ def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
             measure_targets=case.measure_targets,
             intraoperative=case.intraoperative,
             roles=case.roles,
-            on_skin=registers_on_skin(plan),
+            fiducials=FiducialKind.FREE if plan is None else plan.fiducials,
         ),
         [] if plan is None else [trajectory.id for trajectory in plan.trajectories],
         localizes_per_trajectory=strategy_of(case, plan).localizes_per_trajectory,

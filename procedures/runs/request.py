@@ -29,9 +29,41 @@ PATIENT_SCENES = ("default", "mini")  # of the scenes that ronna-sim knows, thos
 LARGEST_SEED = 65535  # more cases than any study runs, and short enough to be read aloud
 
 FREE = "free"  # screws of their own
-SURFACE = "surface"  # no spheres, the skin is scanned
 POLARIS = "polaris"  # the tracker itself, not a server in front of it
 DEFAULT_ARM = ArmChoice.KR6.value
+
+
+@dataclass(frozen=True)
+class FittingMarkers:
+    """Numbers of markers that fit a kind of fiducials, and what is said of others."""
+
+    words: str
+    counts: range
+    expected: str
+    action: str
+
+
+FRAME_SPHERES = len(SPHERE_CENTRES_MM)
+MARKERS = {
+    FREE: FittingMarkers(
+        "spheres alone", range(3, 9), "3 to 8", "With 1 or 2 have the skin scanned too: --fiducials mixed."
+    ),
+    "xframe": FittingMarkers(
+        "the x-shaped frame",
+        range(FRAME_SPHERES, FRAME_SPHERES + 1),
+        f"its {FRAME_SPHERES} spheres",
+        "Omit --markers with the x-shaped frame.",
+    ),
+    "surface": FittingMarkers(
+        "the surface as fiducial",
+        range(0),
+        "a head without spheres",
+        "Omit --markers with --fiducials surface, or scan the skin beside spheres: --fiducials mixed.",
+    ),
+    "mixed": FittingMarkers(
+        "the surface as fiducial beside them", range(1, 4), "1 to 3", "With more use --fiducials free."
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -62,17 +94,12 @@ class SceneChoice:
                 if close_matches
                 else "ronna-sim scene prints one to start from.",
             )
-        if self.fiducials == SURFACE and self.markers is not None:
+        fitting = MARKERS[self.fiducials]
+        if self.markers is not None and self.markers not in fitting.counts:
             raise UsageMistake(
-                f"--markers cannot be {self.markers} with the surface as fiducial",
-                expected="a head without spheres",
-                action="Omit --markers with --fiducials surface.",
-            )
-        if self.fiducials not in (FREE, SURFACE) and self.markers not in (None, len(SPHERE_CENTRES_MM)):
-            raise UsageMistake(
-                f"--markers cannot be {self.markers} with the x-shaped frame",
-                expected=f"its {len(SPHERE_CENTRES_MM)} spheres",
-                action="Omit --markers with the x-shaped frame.",
+                f"--markers cannot be {self.markers} with {fitting.words}",
+                expected=fitting.expected,
+                action=fitting.action,
             )
 
     def arguments(self) -> list[str]:

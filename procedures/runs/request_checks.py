@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from procedures.journal.free_space import NO_DISK, describe_shortage
 from procedures.runs.fault_script import check_fault_script
-from procedures.runs.request import PATIENT_SCENES, SURFACE, CaseProcedure
+from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.config import ARM_RECORDS, TheatreFile, read_theatre_file
@@ -166,13 +166,14 @@ def check_case(request: RunRequest, out: Path) -> None:
         if request.config is None:
             require_simulated_patient(case_procedure.plan, plan.series_instance_uid, request.choice)
     if request.faults is not None:
+        from procedures.planning.plan_model import FiducialKind
         from procedures.steps.catalogue import clinical_steps
 
         steps = clinical_steps(
             measure_targets=case_procedure.measure_targets,
             intraoperative=case_procedure.intraoperative,
             roles=case_procedure.roles,
-            on_skin=request.choice.fiducials == SURFACE,
+            fiducials=FiducialKind(request.choice.fiducials),
         )
         check_fault_script(request.faults, [step.name for step in steps])
 

@@ -12,6 +12,7 @@ from procedures.engine.order import Steps, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import ABORT, CONTINUE, LEAVE, WAIT
 from procedures.operator.question import NO, NOBODY, READ, YES, Topic, join_answers
+from procedures.planning.plan_model import FiducialKind
 from procedures.steps.branches import BRANCHES
 from procedures.steps.clinical import (
     at_target,
@@ -89,12 +90,19 @@ MEASURING_TARGETS: Mapping[StepSpec[StepResult], Steps] = {
 SCANNING: Mapping[StepSpec[StepResult], Steps] = {
     head_clamp.STEP: (head_clamp.STEP, intraoperative_scan.STEP)
 }
+# Of a case that registers on the skin, with or without spheres: the same steps, which look at both.
 ON_SKIN: Mapping[StepSpec[StepResult], Steps] = {
-    fiducial_localization.STEP: (skin_in_ct.STEP,),
     correspondence.STEP: (surface_start.STEP,),
     path_check.STEP: (surface_paths.STEP,),
     relocalization.STEP: (surface_scan.STEP,),
     registration.STEP: (surface_registration.STEP,),
+}
+BY_FIDUCIALS: Mapping[FiducialKind, Mapping[StepSpec[StepResult], Steps]] = {
+    FiducialKind.SURFACE: {fiducial_localization.STEP: (skin_in_ct.STEP,), **ON_SKIN},
+    FiducialKind.MIXED: {
+        fiducial_localization.STEP: (fiducial_localization.STEP, skin_in_ct.WITH_SPHERES),
+        **ON_SKIN,
+    },
 }
 
 
@@ -103,15 +111,16 @@ def clinical_steps(
     measure_targets: bool = False,
     intraoperative: bool = False,
     roles: Sequence[str] = ONE_ARM,
-    on_skin: bool = False,
+    fiducials: FiducialKind = FiducialKind.FREE,
 ) -> Steps:
     """Return the steps of a case with arms in these roles.
 
-    On request it measures the targets, scans the clamped head, or registers on the skin without markers.
+    On request it measures the targets, or scans the clamped head. What it registers is by the `fiducials`.
     Raises ValueError where two changes replace the same step.
     """
     changes = [BY_ROLE.get(role, {}) for role in roles]
-    changes += [MEASURING_TARGETS] * measure_targets + [SCANNING] * intraoperative + [ON_SKIN] * on_skin
+    changes += [MEASURING_TARGETS] * measure_targets + [SCANNING] * intraoperative
+    changes.append(BY_FIDUCIALS.get(fiducials, {}))
     replaced = {step: steps for change in changes for step, steps in change.items()}
     if len(replaced) < sum(map(len, changes)):
         raise ValueError(f"two of {', '.join(roles)} and the measurement of targets replace the same step")

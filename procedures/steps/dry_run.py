@@ -102,8 +102,8 @@ def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int 
         item.fiducial: math.dist(item.tool_pose.translation_mm, here_mm)
         for item in paths.localizations_for(key.trajectory)
     }
-    nearest = min(away_mm, key=away_mm.__getitem__)
-    return nearest if away_mm[nearest] < OVER_SPHERE_MM else None
+    nearest = min(away_mm, key=away_mm.__getitem__, default=None)
+    return nearest if nearest is not None and away_mm[nearest] < OVER_SPHERE_MM else None
 
 
 def _describe_assistance(trajectory: str | None) -> tuple[str, ...]:

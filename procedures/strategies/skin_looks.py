@@ -1,4 +1,4 @@
-"""Looks of the stereo head at the skin, as a strategy: one set of poses for all targets, chosen elsewhere."""
+"""Looks of the stereo head at the skin in given poses: the axis of all, and the strategy without spheres."""
 
 from __future__ import annotations
 
@@ -16,11 +16,17 @@ SKIN = "skin of the head"  # contains spaces, so no planned trajectory can have 
 LENGTH_MM = 100.0  # of the axis that stands for all looks; any length will do
 
 
+def skin_axis(looks: Sequence[Transform], robot_from_ct: Transform) -> Trajectory:
+    """Return the axis that stands for looks ROBOT <- TOOL at the skin, in the CT."""
+    middle = np.mean([one.translation_mm for one in looks], axis=0)
+    entry, target = robot_from_ct.inverse().apply([middle + LENGTH_MM * UP, middle]).tolist()
+    return Trajectory(SKIN, tuple(entry), tuple(target))
+
+
 @dataclass(frozen=True)
 class SkinLooks(Strategy):
-    """Strategy `surface`: the given poses ROBOT <- TOOL, with the tool centre on the skin."""
+    """Strategy `surface`: there are no spheres, and the looks at the skin serve all targets."""
 
-    poses: tuple[Transform, ...] = ()
     name: str = "surface"
     controls_approach: bool = False
     localizes_per_trajectory: bool = False
@@ -28,21 +34,17 @@ class SkinLooks(Strategy):
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """Return one axis that stands for all looks, or () without looks."""
-        if not self.poses:
-            return ()
-        middle = np.mean([one.translation_mm for one in self.poses], axis=0)
-        entry, target = robot_from_ct.inverse().apply([middle + LENGTH_MM * UP, middle]).tolist()
-        return (Trajectory(SKIN, tuple(entry), tuple(target)),)
+        """Return no axis for spheres."""
+        return ()
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Return the poses, in the order of the scan."""
-        return self.poses
+        """Return no pose over spheres."""
+        return ()
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """Return all turns of a target, and none but zero of the looks: their poses are given."""
-        return (0.0,) if along.identifier == SKIN else OUTWARDS_RAD
+        """Return all turns of a target."""
+        return OUTWARDS_RAD

@@ -267,6 +267,7 @@ class ArmHistory:
     interruptions: Mapping[str, str] = field(default_factory=dict)  # of a stage not done since, by trajectory
     tracker: tuple[str, TrackerMove] | None = None  # since that localization, if it was moved and followed
     looks: tuple[str, tuple[Sighting, ...]] | None = None  # at the room, since that localization
+    scanned: tuple[str, tuple[Line, ...]] | None = None  # looks at the skin of a scan that is not whole
     base: Transform | None = None  # ROBOT <- base, of an assistant, once it is known
     base_uncertain_mm: float = 0.0  # by which its arm may be elsewhere
     held: HeldInstrument | None = None  # by an assistant
@@ -306,6 +307,8 @@ class ArmHistory:
                 return replace(self, tracker=TrackerMove.from_plain(line))
             case Entry.LOOK:
                 return self._with_sighting(line)
+            case Entry.SCANNED:
+                return self._with_scanned_look(line)
             case _:
                 return self
 
@@ -325,6 +328,13 @@ class ArmHistory:
         )
         known = self.looks[1] if self.looks is not None and self.looks[0] == localization else ()
         return replace(self, looks=(localization, (*known, look)))
+
+    def _with_scanned_look(self, line: Line) -> ArmHistory:
+        if (look := line["look"]) is None:
+            return replace(self, scanned=None)
+        paths = str(line["paths"])
+        known = self.scanned[1] if self.scanned is not None and self.scanned[0] == paths else ()
+        return replace(self, scanned=(paths, (*known, cast("Line", look))))
 
     def with_restart(self, *, torn: bool, lost: Sequence[Line] = ()) -> ArmHistory:
         """Apply the end of a program. `torn` means that its last journal lines may be lost.

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 from procedures.journal.errors import JournalNotWritable
-from procedures.journal.journal import Entry, Journal
+from procedures.journal.journal import Entry, Journal, Line
 from procedures.planning.tool_records import ToolRecords
 from procedures.room.sighting import Sighting
 from procedures.workcell.arm_history import ArmHistory, ArmLog, HeldInstrument, describe_instrument
@@ -236,6 +236,15 @@ class Workcell:
     def record_look(self, localization: str, look: Sighting) -> None:
         """Journal a look at the room; it reaches the disk before the next motion. Raises PRO-003."""
         self._log.note(Entry.LOOK, localization=localization, look=look.as_plain())
+
+    def scanned_looks(self, paths: str) -> tuple[Line, ...]:
+        """Return the looks at the skin that were kept of a scan by this path check, if it was interrupted."""
+        known = self._log.history.scanned
+        return known[1] if known is not None and known[0] == paths else ()
+
+    def record_scanned_look(self, paths: str, look: Line | None) -> None:
+        """Journal a look at the skin; it is on disk on return. None: the scan is whole. Raises PRO-003."""
+        self._log.write(Entry.SCANNED, paths=paths, look=look)
 
     def look(self) -> Look:
         """Take a stereo pair and measure the sphere in it. Raises STE-012 without a fresh, complete pair."""

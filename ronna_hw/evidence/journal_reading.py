@@ -59,6 +59,9 @@ class Entry(StrEnum):
     STAGE = "stage"  # of the work through the guide: begun by hand, or confirmed to be done
     TRACKER = "tracker"  # moved since the localization, and followed
     LOOK = "look"  # at the room by the tracker, with all bodies in view and their covariances
+    SCANNED = (
+        "scanned"  # one look at the skin, kept until the scan is whole, which a line without a look says
+    )
     WORK = "work"  # manual work, and its readings
     FAILED = "failed"
     INTERRUPTED = "interrupted"

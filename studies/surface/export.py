@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from procedures.registration.surface.scan import SurfaceScan
+from procedures.exchange.surface_files import encode_ply, encode_scan_ply
 from ronna_hw.records import write_atomically
 from studies.campaign.study import Unit, generator
 from studies.surface.heads import HeadInCt, draw_head
 from studies.surface.study import TARGETS_SEED, SurfaceStudy, draw_unit, head_of
 
 HEAD_SPACING_MM = 1.5  # about that of a mesh from a CT
-UPPER = tuple((row, column) for row in range(3) for column in range(row, 3))  # of a covariance
-PLY_TYPES = {"<f8": "double", "<f4": "float", "<i4": "int"}
 
 README = """# Scans of heads by a laser line, with truth
 
@@ -63,7 +58,7 @@ def export_study(study: SurfaceStudy, folder: Path, progress: Callable[[float], 
 def _write_case(path: Path, seed: int, unit: Unit) -> tuple[dict[str, Any], dict[str, Any]]:
     """Write one scan, and return what a registration may know of it and the truth."""
     in_ct, trial, draw = draw_unit(seed, unit)
-    write_atomically(path, ply(_scan_columns(trial.scan)))
+    write_atomically(path, encode_scan_ply(trial.scan))
     case = {
         "head": _head_name(head_of(unit)),
         "level_in_ct_mm": draw.offset_mm,
@@ -87,39 +82,7 @@ def _write_head(path: Path, in_ct: HeadInCt) -> None:
         **{name: fine.skin_mm[:, k].astype("<f4") for k, name in enumerate("xyz")},
         **{f"n{name}": fine.normals[:, k].astype("<f4") for k, name in enumerate("xyz")},
     }
-    write_atomically(path, ply(columns))
-
-
-def _scan_columns(scan: SurfaceScan) -> dict[str, NDArray[Any]]:
-    return {
-        **{name: scan.points_mm[:, k].astype("<f8") for k, name in enumerate("xyz")},
-        **{
-            f"covariance_{'xyz'[row]}{'xyz'[column]}": scan.covariance_mm2[:, row, column].astype("<f8")
-            for row, column in UPPER
-        },
-        "look": scan.look.astype("<i4"),
-        "line": scan.line.astype("<i4"),
-        **{f"view_{name}": scan.view_mm[:, k].astype("<f8") for k, name in enumerate("xyz")},
-    }
-
-
-def ply(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return vertices with these properties as a binary PLY file."""
-    rows = np.zeros(
-        len(next(iter(columns.values()))), dtype=[(name, one.dtype) for name, one in columns.items()]
-    )
-    for name, one in columns.items():
-        rows[name] = one
-    properties = [f"property {PLY_TYPES[one.dtype.str]} {name}" for name, one in columns.items()]
-    head = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(rows)}",
-        *properties,
-        "end_header",
-        "",
-    ]
-    return "\n".join(head).encode() + rows.tobytes()
+    write_atomically(path, encode_ply(columns, "samples of the skin, mm, in the frame ct (LPS)"))
 
 
 def _head_name(number: int) -> str:

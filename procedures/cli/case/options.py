@@ -50,6 +50,7 @@ class FiducialChoice(StrEnum):
     FREE = "free"
     XFRAME = "xframe"
     SURFACE = "surface"
+    MIXED = "mixed"
 
 
 class TrackerChoice(StrEnum):
@@ -190,7 +191,10 @@ class CaseOptions(TheatreOptions):
         Path | None, Option(help="With --sim: follow this plan on the simulated patient, not its own.")
     ] = None
     markers: Annotated[
-        int | None, Option(min=3, max=8, help="Spheres on the head, instead of the scene's.")
+        int | None,
+        Option(
+            min=1, max=8, help="Spheres on the head, instead of the scene's; 1 to 3 with mixed fiducials."
+        ),
     ] = None
     targets: Annotated[
         int | None, Option(min=1, max=10, help="Number of trajectories (default: the scene's).")
@@ -199,7 +203,7 @@ class CaseOptions(TheatreOptions):
         FiducialChoice,
         Option(
             help="Fixation of the spheres: screws, or the x-shaped frame. With surface there are none, and "
-            "the skin is scanned."
+            "the skin is scanned; with mixed the skin and 1 to 3 spheres on screws."
         ),
     ] = FiducialChoice.FREE
     strategy: Annotated[str, Option(metavar="|".join(STRATEGY_NAMES), help=STRATEGY_HELP)] = DEFAULT_STRATEGY
@@ -313,11 +317,11 @@ class CaseOptions(TheatreOptions):
                 got=self.assistant_arm if "--assistant-arm" in given else None,
                 action=f"Add --dual, or omit {given}.",
             )
-        if self.fiducials is FiducialChoice.SURFACE and (
+        if self.fiducials in (FiducialChoice.SURFACE, FiducialChoice.MIXED) and (
             given := self._list_changed_options(("dual", "intraoperative"))
         ):
             raise UsageMistake(
-                f"{given} and --fiducials surface cannot be combined",
+                f"{given} and --fiducials {self.fiducials} cannot be combined",
                 expected="one arm, and the CT that the skin is registered to",
                 action=f"Omit {given}.",
             )

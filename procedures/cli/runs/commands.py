@@ -176,13 +176,18 @@ def export_command(
             help="Folder of the run's CT: its patient and study go into the DICOM objects. Needs --out.",
         ),
     ] = None,
+    with_scan: Annotated[
+        bool,
+        Option("--with-scan", help="Add the scan of the skin as PLY and VTP: it shows the patient's face."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write plan, spheres, registrations, reached lines and errors as Slicer markups, CSV, JSON and DICOM
     objects, without patient identity unless with --identity-from.
 
     Written to the run's folder `export` by default. A run that ended early is exported as far as it came;
-    export.json says what is absent. An archive files the objects with --identity-from beside the CT.
+    export.json says what is absent, and what was left out to protect the patient. An archive files the
+    objects with --identity-from beside the CT.
     """
     from procedures.exchange.run_export import export_run
     from procedures.runs.simulated_theatre import find_truth
@@ -198,17 +203,19 @@ def export_command(
     if out is not None and out.resolve() != folder.resolve():
         require_output_folder(out)
         folder = out
-    exported = export_run(run_folder, folder, find_truth, identity_from)
+    exported = export_run(run_folder, folder, find_truth, identity_from, with_scan=with_scan)
     if exported.study is not None:
         tell(f"patient: {exported.study.describe()}")
     if as_json:
         files = [str(path) for path in exported.files]
-        print_json({"files": files, "absent": dict(exported.absent)})
+        print_json({"files": files, "absent": dict(exported.absent), "withheld": dict(exported.withheld)})
         return
     for path in exported.files:
         tell(str(path))
     for what, why in exported.absent.items():
         tell(f"not in this run: {what} ({why})")
+    for what, why in exported.withheld.items():
+        tell(f"left out: {what} ({why})")
 
 
 def watch_command(

@@ -21,7 +21,6 @@ from procedures.engine.setting import ClinicalInput
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.journal.results import parse_record
 from procedures.planning.plan_file import read_plan
-from procedures.planning.plan_model import FiducialKind
 from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.set_up import CheckedSetUp
@@ -134,7 +133,7 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
             measure_targets=opening.measure_targets,
             intraoperative=opening.intraoperative,
             roles=opening.roles,
-            on_skin=planned.fiducials is FiducialKind.SURFACE,
+            fiducials=planned.fiducials,
         ),
         [trajectory.id for trajectory in planned.trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,

@@ -56,6 +56,17 @@ class StepState(_EventBase):
     record: str | None = Field(default=None, description="Identifier of the result.")
 
 
+class ScanProgress(_Plain):
+    """State of a scan of the skin."""
+
+    looks_done: Count = Field(description="Looks taken, with those kept from before an interruption.")
+    looks_planned: Count
+    covered_share: float = Field(ge=0, le=1, description="Of the skin that is planned to be scanned.")
+    predicted_error_mm: float | None = Field(
+        description="Expected rms error at the targets with what is scanned so far; none: it is too little."
+    )
+
+
 class Progress(_EventBase):
     """Progress of the running step."""
 
@@ -64,6 +75,7 @@ class Progress(_EventBase):
     step: str
     share: float = Field(ge=0, le=1)
     text: str
+    scan: ScanProgress | None = Field(default=None, description="Of a scan of the skin.")
 
 
 class Questioned(_EventBase):

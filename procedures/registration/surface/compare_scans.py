@@ -75,7 +75,7 @@ def compare_scans(
     places = after.places_mm[used]
     centre, regions = places.mean(axis=0), list_regions(places, axes)
     model = MisfitModel.of(thin.points_mm[used], own_noise[used], np.zeros((used.sum(), 0)), SCOUTS)
-    adjustment = Adjustment.of(model, difference.jacobian(centre)[used], regions=regions)
+    adjustment = Adjustment.of(model, difference.jacobian(centre)[used], regions)
     mixture = adjustment.step(difference.distances_mm[used])
     changed = ChangedSkin.of(mixture, regions, places, axes)
     return ScanComparison(changed, common, centre, robot_from_ct, mixture.likely())

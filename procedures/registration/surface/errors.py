@@ -92,6 +92,24 @@ SCANS_APART = ErrorCode(
 )
 
 
+SPHERE_MOVED = ErrorCode(
+    "SRF-012",
+    RefusedError,
+    "A sphere is not where the skin, and other spheres if there are any, have it.",
+    "Check whether its screw has moved since the CT, or the head in its clamp; then localize again. If the "
+    "screw has moved, plan with the other screws, or with the skin alone, and begin a new run.",
+)
+
+
+SPHERE_UNSEEN = ErrorCode(
+    "SRF-013",
+    RefusedError,
+    "The spheres that the tracker sees do not match those of the CT, by nose and ears.",
+    "Clear the tracker's view of the spheres, cover what else reflects near the head, and localize with the "
+    "tracker again; if the pointer was at another place, touch nose and ears again.",
+)
+
+
 BAD_SCAN = ErrorCode(
     "SRF-020",
     DataError,

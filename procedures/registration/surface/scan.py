@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
@@ -90,6 +90,17 @@ class SurfaceScan:
             raise EMPTY_SCAN("there is no point to register", got=f"{len(parts)} line(s) without points")
         columns = {one.name: [getattr(part, one.name) for part in parts] for one in fields(cls)}
         return cls(**{name: np.concatenate(arrays) for name, arrays in columns.items()})
+
+    def placed(self, pose: Transform) -> Self:
+        """Return the scan in another frame."""
+        turn = pose.rotation_matrix
+        turned = turn @ self.covariance_mm2 @ turn.T
+        return replace(
+            self,
+            points_mm=pose.apply(self.points_mm),
+            covariance_mm2=0.5 * (turned + turned.transpose(0, 2, 1)),
+            view_mm=pose.apply(self.view_mm),
+        )
 
     def select(self, rows: ArrayLike) -> Self:
         """Return the scan of these rows only, given by number or by a mask (n,)."""

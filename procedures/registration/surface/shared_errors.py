@@ -22,37 +22,45 @@ class ErrorColumns:
     """Displacements (n, 3, k) mm of the points of a scan by k errors of one standard deviation each.
 
     An independent error of a look displaces all of its points, so it takes three columns for each look.
+    Looks at spheres follow the points.
     """
 
     displacements_mm: Array
+    spheres: int = 0  # rows that are looks at spheres
 
     @classmethod
-    def of(cls, sources: Sources, scan: SurfaceScan, rows: NDArray[np.int64]) -> Self:
+    def of(cls, sources: Sources, scan: SurfaceScan, rows: NDArray[np.int64], spheres: int = 0) -> Self:
         """Collect the columns for some points of a scan. Raises SRF-001 for other numbers of rows.
 
-        A source has a row for each look, in the order of their numbers, or a shared one for each point.
+        A source has a row for each look, in the order of their numbers, or a shared one for each point; then
+        one for each look at a sphere.
         """
         looks, look_of = np.unique(scan.look, return_inverse=True)
-        columns = [np.zeros((len(rows), AXES, 0))]
+        columns = [np.zeros((len(rows) + spheres, AXES, 0))]
         for one in sources:
             given = len(one.at_spheres_mm if isinstance(one, SharedErrors) else one.at_spheres_mm2)
-            is_by_point = isinstance(one, SharedErrors) and given == len(scan)
-            if given != len(looks) and not is_by_point:
+            is_by_point = isinstance(one, SharedErrors) and given == len(scan) + spheres
+            if given != len(looks) + spheres and not is_by_point:
                 raise BAD_SURFACE_INPUT(
                     f"the source '{one.source}' does not fit the scan",
-                    expected=f"{len(looks)} rows, one for each look",
+                    expected=f"{len(looks) + spheres} rows, one for each look",
                     got=f"{given}",
                 )
             of_rows = rows if is_by_point else look_of[rows]
-            columns.append(by_look(one)[of_rows])
+            columns.append(by_look(one)[np.append(of_rows, given - spheres + np.arange(spheres))])
         displacements = np.concatenate(columns, axis=2)
         if not np.isfinite(displacements).all():
             raise BAD_SURFACE_INPUT("an error of the arm is not finite")
-        return cls(displacements)
+        return cls(displacements, spheres)
 
     def along(self, directions: Array) -> Array:
-        """Return the displacements (n, k) along directions (n, 3) of the robot frame."""
-        return np.asarray(np.einsum("ni,nik->nk", directions, self.displacements_mm))
+        """Return the displacements (n, k) of points along directions (n, 3) of the robot frame."""
+        return np.asarray(np.einsum("ni,nik->nk", directions, self.displacements_mm[: len(directions)]))
+
+    def of_spheres(self) -> Array:
+        """Return the displacements (3m, k) of looks at spheres, along each axis of the robot frame."""
+        rows = self.displacements_mm[len(self.displacements_mm) - self.spheres :]
+        return np.asarray(rows.reshape(AXES * self.spheres, -1))
 
 
 def by_look(source: SharedErrors | IndependentErrors) -> Array:

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from procedures.registration.point_registration import Registration, register
 from procedures.registration.points import validate_pairs
 from procedures.registration.rigid_fit import fit_rigid
-from procedures.registration.surface.errors import BAD_SURFACE_INPUT, LITTLE_COVERAGE, TWO_POSES
+from procedures.registration.surface.errors import (
+    BAD_SURFACE_INPUT,
+    LITTLE_COVERAGE,
+    SPHERE_UNSEEN,
+    TWO_POSES,
+)
 from procedures.registration.surface.settling import Pose, Settled, settle
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import thin_points
@@ -20,6 +27,12 @@ from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 
 LANDMARK_SD_MM = 3.0  # of a landmark found with a pointer on skin, each axis (U)
+SEEN_SD_MM = 0.5  # of a sphere as the tracker sees it from where the CT has it, each axis (U)
+# Of a reading from where landmarks put a sphere. Safety against another reflection taken for a sphere.
+# Source: four times what the landmarks' error comes to at the vertex.
+NEAR_START_MM = 40.0
+FAR_FROM_PAIR_MM = 3.0  # of a sphere that moved visibly, or of a wrong pair (U)
+CLEARLY_OTHER = 12.0  # of chi-square, between two ways to pair: one in four hundred
 SEARCH_POINTS = 80
 SEARCH_SAMPLES = 3000
 ORIENTATIONS = 300  # about 35 degrees apart
@@ -56,6 +69,60 @@ class Start:
         spread_mm = float(np.linalg.svd(image - image.mean(axis=0), compute_uv=False)[1])
         pose = Transform.from_matrix(Frame.ROBOT, Frame.CT, matrix)
         return cls(pose, sd_mm / spread_mm, sd_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class PairedSpheres:
+    """Pairs of spheres in CT and room, the pose that landmarks and spheres agree on, and what is left."""
+
+    pairs: tuple[tuple[int, int], ...]
+    robot_from_ct: Transform
+    residuals_mm: tuple[float, ...]
+
+
+def pair_spheres(
+    start: Start, landmarks_ct_mm: Array, landmarks_mm: Array, spheres_ct_mm: Array, seen_mm: Array
+) -> PairedSpheres:
+    """Pair every sphere (n, 3) of the CT with a reading (m, 3), all near `start`, by the landmarks it is of.
+
+    Raises SRF-013 if a sphere is not seen, or readings could be exchanged.
+    """
+    count = len(spheres_ct_mm)
+    if not count:
+        return PairedSpheres((), start.robot_from_ct, ())
+    expected = np.asarray(start.robot_from_ct.apply(spheres_ct_mm))
+    near = [np.flatnonzero(np.linalg.norm(seen_mm - one, axis=1) < NEAR_START_MM) for one in expected]
+    for number, readings in enumerate(near, start=1):
+        if not len(readings):
+            raise SPHERE_UNSEEN(
+                f"the tracker sees nothing where nose and ears put sphere {number} of the CT",
+                limit=f"{NEAR_START_MM:g} mm",
+            )
+    sizes_mm = np.repeat([LANDMARK_SD_MM, SEEN_SD_MM], [len(landmarks_ct_mm), count])
+    covariance = np.eye(3) * sizes_mm[:, None, None] ** 2
+    image = np.vstack([landmarks_ct_mm, spheres_ct_mm])
+    found: list[tuple[float, tuple[int, ...], Registration]] = []
+    for rows in product(*near):
+        if len(set(rows)) == count:
+            fit = register(image, np.vstack([landmarks_mm, seen_mm[list(rows)]]), covariance_mm2=covariance)
+            square = float(np.sum((fit.residuals_mm / sizes_mm[:, None]) ** 2))
+            found.append((square, rows, fit))
+    found.sort(key=lambda one: one[0])
+    if not found or (len(found) > 1 and found[1][0] < found[0][0] + CLEARLY_OTHER):
+        raise SPHERE_UNSEEN(
+            "it cannot be told which reading of the tracker is which sphere",
+            got=f"{len(set(np.concatenate(near).tolist()))} readings for {count}",
+        )
+    _, rows, fit = found[0]
+    away_mm = np.linalg.norm(fit.residuals_mm[-count:], axis=1)
+    if away_mm.max() > FAR_FROM_PAIR_MM:
+        raise SPHERE_UNSEEN(
+            f"the tracker sees sphere {int(away_mm.argmax()) + 1} elsewhere than the others put it",
+            limit=f"{FAR_FROM_PAIR_MM:g} mm",
+            got=f"{away_mm.max():.1f} mm",
+        )
+    pairs = tuple((number, int(row)) for number, row in enumerate(rows))
+    return PairedSpheres(pairs, fit.between(Frame.ROBOT, Frame.CT), tuple(away_mm.tolist()))
 
 
 def pose_of(start: Start) -> Pose:

@@ -7,7 +7,8 @@ hypotheses are weighed by what is usual.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike
 from procedures.registration.points import validate_points, validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.surface.errors import BAD_SURFACE_INPUT, LITTLE_COVERAGE
-from procedures.registration.surface.misfit import Misfit, MisfitModel, Roughness
+from procedures.registration.surface.misfit import UNMODELLED, Misfit, MisfitModel, Roughness
 from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.thinning import thin_points
 from ronna_hw.arrays import Array
@@ -52,14 +53,9 @@ def expect_error(
     if len(points) != len(normals):
         raise BAD_SURFACE_INPUT(f"{len(points)} points but {len(normals)} normals")
     rows = thin_points(points)
-    return _expect(
-        points[rows],
-        normals[rows],
-        targets,
-        misfits or USUAL,
-        noise_mm,
-        np.zeros((len(rows), 0)) if shared_mm is None else shared_mm[rows],
-    )
+    shared = None if shared_mm is None else shared_mm[rows]
+    expected = ExpectedPose.of(points[rows], normals[rows], misfits, noise_mm, shared)
+    return [expected.at(one) for one in targets]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,29 +119,54 @@ def _rms_of(stations: Sequence[Station], targets: Array) -> float:
     rows = thin_points(points, PLANNED_POINTS)
     if len(rows) < FEWEST_POINTS:
         return float("inf")
-    expected = _expect(points[rows], normals[rows], targets, USUAL, NOISE_MM, np.zeros((len(rows), 0)))
-    return float(np.sqrt(np.mean([one.rms_mm**2 for one in expected])))
+    return float(np.sqrt(ExpectedPose.of(points[rows], normals[rows]).mean_square_mm2(targets)))
 
 
-def _expect(
-    points: Array,
-    normals: Array,
-    targets: Array,
-    misfits: dict[Misfit, float],
-    noise_mm: float,
-    shared_mm: Array,
-) -> list[SurfacePrediction]:
-    if len(points) < FEWEST_POINTS:
-        raise LITTLE_COVERAGE(f"{len(points)} points of the surface", limit=f"{FEWEST_POINTS}")
-    centre = points.mean(axis=0)
-    noise = np.full(len(points), noise_mm**2)
-    model = MisfitModel.of(points, noise, shared_mm, tuple(misfits))
-    jacobian = np.hstack([np.cross(points - centre, normals), normals])
-    mixture = model.adjust(jacobian, np.zeros(len(points)))
-    weights = np.array(list(misfits.values()))
-    predictions = []
-    for target in targets:
-        slope = pose_jacobian(target, centre)
-        covariances = slope @ mixture.covariances @ slope.T
-        predictions.append(SurfacePrediction(weights / weights.sum(), mixture.shifts @ slope.T, covariances))
-    return predictions
+@dataclass(frozen=True, eq=False)
+class ExpectedPose:
+    """Errors of a pose before the scan: covariances (h, 6, 6) about a centre, weights of the hypotheses."""
+
+    weights: Array
+    covariances: Array
+    centre_mm: Array
+
+    @classmethod
+    def of(
+        cls,
+        points: Array,
+        normals: Array,
+        misfits: dict[Misfit, float] | None = None,
+        noise_mm: float = NOISE_MM,
+        shared_mm: Array | None = None,
+    ) -> Self:
+        """Expect the pose by points (n, 3) with outward normals, as `expect_error`. Raises SRF-002."""
+        if len(points) < FEWEST_POINTS:
+            raise LITTLE_COVERAGE(f"{len(points)} points of the surface", limit=f"{FEWEST_POINTS}")
+        centre, misfits = points.mean(axis=0), misfits or USUAL
+        shared = np.zeros((len(points), 0)) if shared_mm is None else shared_mm
+        model = MisfitModel.of(points, np.full(len(points), noise_mm**2), shared, tuple(misfits))
+        jacobian = np.hstack([np.cross(points - centre, normals), normals])
+        weights = np.array(list(misfits.values()))
+        covariances = UNMODELLED**2 * model.adjust(jacobian, np.zeros(len(points))).covariances
+        return cls(weights / weights.sum(), covariances, centre)
+
+    def with_spheres(self, spheres_mm: Array, sd_mm: float) -> Self:
+        """Add spheres (..., n, 3), CT mm, measured with this standard deviation per axis, to the skin."""
+        slopes = pose_jacobian(spheres_mm, self.centre_mm)
+        known = np.einsum("...nij,...nik->...jk", slopes, slopes) / sd_mm**2
+        informed = np.linalg.inv(self.covariances) + known[..., None, :, :]
+        return replace(self, covariances=np.linalg.inv(informed))
+
+    def mean_square_mm2(self, targets_mm: Array) -> Array:
+        """Return the mean square error over targets (m, 3), (...)."""
+        slopes = pose_jacobian(targets_mm, self.centre_mm)
+        return np.asarray(
+            np.einsum("mij,...hjk,mik,h->...", slopes, self.covariances, slopes, self.weights)
+            / len(targets_mm)
+        )
+
+    def at(self, target_mm: Array) -> SurfacePrediction:
+        """Return the error at a target (3,)."""
+        slope = pose_jacobian(target_mm, self.centre_mm)
+        zero = np.zeros((len(self.weights), 3))
+        return SurfacePrediction(self.weights, zero, slope @ self.covariances @ slope.T)

@@ -1,5 +1,6 @@
 """Registration of a scan to the surface in the CT, with what it knows about its own error.
 
+Looks at spheres on screws, if there are any, are rows of the same adjustment.
 The scan is settled robustly, other bodies and hair are left out, and the pose is adjusted under all
 hypotheses about the misfit of the skin, and about a region of it that moved by itself (`misfit`). The error
 at a target follows from the mixture: never from the sharpness of the fit alone, which counts neighbouring
@@ -9,11 +10,13 @@ points as if they were independent.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from procedures.registration.error_sources import LINE, SKIN, SPHERES
 from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.surface.changed_skin import ChangedSkin, list_regions
@@ -29,12 +32,25 @@ from procedures.registration.surface.checks import (
     require_still,
     share_covered,
 )
-from procedures.registration.surface.misfit import MISFITS, Adjustment, MisfitModel, PoseMixture
+from procedures.registration.surface.misfit import (
+    LEAST_NOISE_MM,
+    MISFITS,
+    UNMODELLED,
+    Adjustment,
+    MisfitModel,
+    PoseMixture,
+)
 from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
 from procedures.registration.surface.shared_errors import ErrorColumns, Sources, at_target
+from procedures.registration.surface.spheres import (
+    LookedSpheres,
+    SphereAlone,
+    judge_spheres,
+    require_unmoved,
+)
 from procedures.registration.surface.starts import Start, find_pose, pose_of
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import merge_neighbours, thin_points
@@ -43,9 +59,6 @@ from ronna_hw.frames import Frame, Transform
 
 MOST_STEPS = 12
 STILL = 1e-5  # mm and rad: a smaller step changes nothing
-# Of the pose's error beyond the hypotheses, standard deviation. Source: development skins of the study, on
-# which 90 to 91 % of the targets were within the 95 % limit without it.
-UNMODELLED = 1.2
 FEWEST_POINTS = 30  # of a scan after thinning: five for each unknown
 
 
@@ -56,7 +69,8 @@ class SurfaceRegistration:
     `points_mm` are those of the thinned scan, `residuals_mm` their distances to the surface. `excluded` marks
     other bodies and hair. `changed` skin has probably moved by itself. `coverage` is the share of the head's
     surface that was scanned. `side_proven` says whether the mirror image fits clearly
-    worse: if it does not, left and right must be confirmed by another observation.
+    worse: if it does not, left and right must be confirmed by another observation. Looks at spheres have
+    their `sphere_residuals_mm` (m, 3), robot frame, and each sphere how it fits everything else.
     """
 
     robot_from_ct: Transform
@@ -68,6 +82,12 @@ class SurfaceRegistration:
     side_proven: bool
     centre_ct_mm: Array
     mixture: PoseMixture = field(repr=False)
+    gains: Array = field(repr=False)  # (c, 6, m + 3k) of the points used and of the looks at spheres
+    along_mm: Array = field(repr=False)  # (m + 3k, q) their displacements by the shared errors
+    noise_mm2: Array = field(repr=False)  # (m,) of the used points, along their normals
+    sphere_noise_mm2: Array = field(repr=False)  # (3k, 3k) of the looks at spheres
+    sphere_residuals_mm: Array
+    spheres: tuple[SphereAlone, ...]
 
     @property
     def misfit_mm(self) -> float:
@@ -88,15 +108,38 @@ class SurfaceRegistration:
         """
         target = validate_targets(target_ct_mm)[0]
         slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
-        by_arm = self.mixture.couplings
-        by_skin = self.mixture.covariances - by_arm @ np.swapaxes(by_arm, 1, 2)
-        arm_mm, independent_mm2 = slope @ by_arm, np.zeros((3, 3))
+        gains, by_arm = slope @ self.gains, slope @ self.gains @ self.along_mm
+        by_spheres = gains[:, :, len(self.noise_mm2) :]
+        known_mm2 = by_spheres @ self.sphere_noise_mm2 @ np.swapaxes(by_spheres, 1, 2)
+        by_skin = slope @ self.mixture.covariances @ slope.T - known_mm2 - by_arm @ np.swapaxes(by_arm, 1, 2)
         if arm_at_target:
             shared_mm, independent_mm2 = at_target(arm_at_target)
-            arm_mm = arm_mm + shared_mm
-        covariances = UNMODELLED**2 * (slope @ by_skin @ slope.T)
-        covariances = covariances + arm_mm @ np.swapaxes(arm_mm, 1, 2) + independent_mm2
+            by_arm, known_mm2 = by_arm + shared_mm, known_mm2 + independent_mm2
+        covariances = UNMODELLED**2 * by_skin + known_mm2 + by_arm @ np.swapaxes(by_arm, 1, 2)
         return SurfacePrediction(self.mixture.weights, self.mixture.shifts @ slope.T, covariances)
+
+    def split(self, target_ct_mm: ArrayLike, arm_at_target: Sources = ()) -> dict[str, float]:
+        """Return the mean square error in mm2 at a target by source; the sum is that of `predict`.
+
+        The skin has what the measurement and the arm do not explain, the spread of the hypotheses included.
+        """
+        target = validate_targets(target_ct_mm)[0]
+        slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
+        gains, weights = slope @ self.gains, self.mixture.weights  # (c, 3, rows)
+        by_points, by_spheres = np.split(gains, [len(self.noise_mm2)], axis=2)
+        shares = {LINE: float(weights @ np.sum(by_points**2 * self.noise_mm2, axis=(1, 2)))}
+        if self.spheres:
+            mean_mm2 = np.einsum("hij,jk,hik->h", by_spheres, self.sphere_noise_mm2, by_spheres)
+            shares[SPHERES] = float(weights @ mean_mm2)
+        first = 0
+        for one in arm_at_target:
+            shared, independent_mm2 = at_target([one])
+            columns = gains @ self.along_mm[:, first : first + shared.shape[1]] + shared
+            first += shared.shape[1]
+            mean_mm2 = float(weights @ np.sum(columns**2, axis=(1, 2)) + np.trace(independent_mm2))
+            shares[one.source] = shares.get(one.source, 0.0) + mean_mm2
+        rest_mm2 = self.predict(target, arm_at_target).rms_mm ** 2 - sum(shares.values())
+        return {SKIN: max(rest_mm2, 0.0), **shares}
 
 
 def register_surface(
@@ -106,15 +149,17 @@ def register_surface(
     *,
     targets_ct_mm: ArrayLike | None = None,
     arm: Sources = (),
+    spheres: LookedSpheres | None = None,
     limits: SurfaceLimits | None = None,
 ) -> SurfaceRegistration:
     """Register a scan to a surface; without a start the pose is searched by the scan alone.
 
     `arm` are errors that the points share, as displacements in the robot frame, with a row for each look (in
-    the order of their numbers) or for each point. Without targets the middle of the head stands for them.
-    Raises SRF-001 to SRF-010: a registration that is not refused may be used within its predicted error.
+    the order of their numbers) or for each point, then for each look at the `spheres`. Without targets the
+    middle of the head stands for them.
+    Raises SRF-001 to SRF-012: a registration that is not refused may be used within its predicted error.
     """
-    limits = limits or SurfaceLimits()
+    limits, spheres = limits or SurfaceLimits(), spheres or LookedSpheres.none()
     axes = HeadAxes.of(surface)
     targets = axes.centre_mm[None] if targets_ct_mm is None else validate_targets(targets_ct_mm)
     thin = scan.select(thin_points(scan.points_mm))
@@ -126,9 +171,11 @@ def register_surface(
     used = ~mark_other_bodies(found) & ~is_hair
     coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
     side_proven = is_side_proven(found, used, merged.points_mm, merged.view_mm, surface, axes)
-    columns = ErrorColumns.of(arm, scan, rows)
-    found, centre, mixture, changed = _adjust(found, used, merged, surface, columns, axes)
-    require_agreement(changed, limits)
+    columns = ErrorColumns.of(arm, scan, rows, len(spheres.numbers))
+    adjusted = _Adjusted.of(found, used, merged, surface, columns, spheres, axes)
+    require_agreement(adjusted.changed, limits)
+    require_unmoved(adjusted.spheres)
+    found = adjusted.found
     require_start(found.pose, start, axes)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = found.pose.rotation, found.pose.translation_mm
@@ -138,11 +185,17 @@ def register_surface(
         merged.points_mm,
         found.distances_mm,
         ~used,
-        changed,
+        adjusted.changed,
         coverage,
         side_proven,
-        centre,
-        mixture,
+        adjusted.centre_mm,
+        adjusted.mixture,
+        adjusted.gains,
+        adjusted.along_mm,
+        adjusted.noise_mm2,
+        spheres.covariance_mm2,
+        spheres.residuals_mm(found.pose).reshape(-1, 3),
+        adjusted.spheres,
     )
     for target in targets:
         predicted = registration.predict(target)
@@ -166,36 +219,68 @@ def _settle(thin: SurfaceScan, surface: Surface, start: Start | None, limits: Su
     return settle(found.pose, points, view, surface, ~is_other)
 
 
-def _adjust(
-    found: Settled,
-    used: Mask,
-    merged: SurfaceScan,
-    surface: Surface,
-    columns: ErrorColumns,
-    axes: HeadAxes,
-) -> tuple[Settled, Array, PoseMixture, ChangedSkin | None]:
-    """Step to the mean of all hypotheses; return the pose, its centre, the mixture about it, changed skin.
+@dataclass(frozen=True, eq=False)
+class _Adjusted:
+    """Pose at the mean of all hypotheses, the mixture about it, and what it says of skin and spheres."""
 
-    The slopes stay those of the first pose, with which the shared errors were projected: otherwise a turn of
-    the normals by a hundredth would tell the one from the other.
-    """
-    directions = found.normals @ found.pose.rotation  # in the robot frame
-    noise = np.einsum("ni,nij,nj->n", directions, merged.covariance_mm2, directions)[used]
-    along, centre = columns.along(directions)[used], found.places_mm[used].mean(axis=0)
-    model, jacobian = MisfitModel.of(merged.points_mm[used], noise, along), found.jacobian(centre)[used]
-    require_still(model, jacobian, found.distances_mm[used], merged.look[used])
-    regions = list_regions(found.places_mm[used], axes)
-    adjustment = Adjustment.of(model, jacobian, along, regions)
-    for _ in range(MOST_STEPS):
-        mixture = adjustment.step(found.distances_mm[used])
-        mean = mixture.mean
-        if np.abs(mean).max() < STILL:
-            break
-        found = Settled.at(found.pose.moved(mean, centre), merged.points_mm, merged.view_mm, surface)
-    changed = ChangedSkin.of(mixture, regions, found.places_mm[used], axes)
-    if changed is not None:
-        points = np.zeros(len(used), dtype=bool)
-        points[used] = changed.points
-        changed = replace(changed, points=points)
-    mixture = mixture.likely()
-    return found, centre, replace(mixture, shifts=mixture.shifts - mean), changed
+    found: Settled
+    centre_mm: Array
+    mixture: PoseMixture
+    gains: Array
+    along_mm: Array
+    noise_mm2: Array
+    changed: ChangedSkin | None
+    spheres: tuple[SphereAlone, ...]
+
+    @classmethod
+    def of(
+        cls,
+        found: Settled,
+        used: Mask,
+        merged: SurfaceScan,
+        surface: Surface,
+        columns: ErrorColumns,
+        spheres: LookedSpheres,
+        axes: HeadAxes,
+    ) -> Self:
+        """Adjust the pose of the used points, and of spheres, from where they settled. Raises SRF-007.
+
+        The slopes stay those of the first pose, with which the shared errors were projected: otherwise a turn
+        of the normals by a hundredth would tell the one from the other.
+        """
+        directions = found.normals @ found.pose.rotation  # in the robot frame
+        noise = np.einsum("ni,nij,nj->n", directions, merged.covariance_mm2, directions)[used]
+        points, places = merged.points_mm[used], found.places_mm[used]
+        centre, along = places.mean(axis=0), columns.along(directions)[used]
+        jacobian = found.jacobian(centre)[used]
+        model = MisfitModel.of(points, noise, along)
+        require_still(model, jacobian, found.distances_mm[used], merged.look[used])  # by the scan alone
+        if len(spheres.numbers):
+            along = np.vstack([along, columns.of_spheres()])
+            jacobian = np.vstack([jacobian, spheres.jacobian(found.pose, centre)])
+            model = MisfitModel.of(points, noise, along, known_mm2=spheres.covariance_mm2)
+        regions = list_regions(places, axes)
+        adjustment = Adjustment.of(model, jacobian, regions)
+        for _ in range(MOST_STEPS):
+            residuals = np.append(found.distances_mm[used], spheres.residuals_mm(found.pose))
+            mixture = adjustment.step(residuals)
+            mean = mixture.mean
+            if np.abs(mean).max() < STILL:
+                break
+            found = Settled.at(found.pose.moved(mean, centre), merged.points_mm, merged.view_mm, surface)
+        changed = ChangedSkin.of(mixture, regions, found.places_mm[used], axes)
+        if changed is not None:
+            marked = np.zeros(len(used), dtype=bool)
+            marked[used] = changed.points
+            changed = replace(changed, points=marked)
+        likely = mixture.likely()
+        return cls(
+            found,
+            centre,
+            replace(likely, shifts=likely.shifts - mean),
+            adjustment.gains(likely),
+            along,
+            noise + LEAST_NOISE_MM**2,
+            changed,
+            judge_spheres(model, jacobian, residuals, spheres),
+        )

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from procedures.guards import stability
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
 from procedures.reporting.run_reading import RunReading
+from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.results import ConfirmedTarget, KnownBases
 
 
@@ -46,7 +47,8 @@ def read_stability(reading: RunReading) -> Stability | None:
 
     last_s = stability.last_seen_s(reading.run.journal, confirms)
     rows = []
-    for watched in stability.WATCHED_SUBJECTS:
+    skin = reading.find(SkinInCt)
+    for watched in stability.watched_subjects(on_skin=skin is not None and not skin.markers):
         looks = (one.seen for one in results.values())
         seen = tuple(next((one for one in look if one.subject == watched.subject), None) for look in looks)
         rows.append(StabilityRow(watched, last_s.get(watched.subject), seen))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
-from procedures.reporting.files import Picture, load_pictures
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.correspondence import SurfaceStart
-from procedures.steps.clinical.fiducial_localization import SkinInCt
+from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
+from procedures.steps.clinical.surface.skin_pictures import FULL_COLOUR_MM
+
+SURFACE_PICTURES = "surface-"  # names of pictures of the skin begin with it
+LEAST_TOLD = 0.001  # of the boundary
 
 
 @dataclass(frozen=True)
@@ -19,7 +23,21 @@ class SurfaceSection:
     start: SurfaceStart | None
     scan: ScannedSurface | None
     registration: RegisteredBySurface | None
-    pictures: tuple[Picture, ...]
+    full_colour_mm: float = FULL_COLOUR_MM
+
+    def known_by(self, *, start: bool, scan: bool, registration: bool) -> Self:
+        """Return the section at an earlier moment, at which these results were there."""
+        return replace(
+            self,
+            start=self.start if start else None,
+            scan=self.scan if scan else None,
+            registration=self.registration if registration else None,
+        )
+
+    @property
+    def told(self) -> tuple[ExcludedSkin, ...]:
+        """Parts of the boundary that are not used, without those that are hardly there."""
+        return tuple(one for one in self.skin.excluded if one.share >= LEAST_TOLD)
 
     @property
     def points(self) -> int:
@@ -37,5 +55,4 @@ def read_surface(reading: RunReading) -> SurfaceSection | None:
         reading.find(SurfaceStart),
         reading.find(ScannedSurface),
         reading.find(RegisteredBySurface),
-        load_pictures(reading, "surface-"),
     )

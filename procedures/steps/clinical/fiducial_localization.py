@@ -245,7 +245,7 @@ class ExcludedSkin(Values):
 
 
 class SkinInCt(LocalizedFiducials, kind="skin_in_ct"):
-    """The skin in the CT of a head without markers."""
+    """The skin in the CT of a head without markers, or with few."""
 
     samples: int = Field(description="Places on the skin that the scan may be registered to.")
     excluded: tuple[ExcludedSkin, ...] = Field(description="Parts that it may not.")

@@ -97,7 +97,9 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
             joints_rad=joints,
             tracker_from_patient=None if patient is None else FramedPose.of(patient),
         ),
-        summary=f"{len(groups)} stray spheres in {len(frames)} frames, largest spread {spread_mm:.2f} mm"
+        summary=(f"{len(groups)} stray spheres" if groups else "no sphere")
+        + f" in {len(frames)} frames"
+        + (f", largest spread {spread_mm:.2f} mm" if groups else "")
         + (f", relative to {name}" if patient is not None else "")
         + (f", {lost} readings lost on the line" if lost else ""),
     )
@@ -167,7 +169,7 @@ def _needs_stereo_head(context: StepContext) -> tuple[str, ...]:
 
 STEP = StepSpec(
     GlobalLocalization,
-    "Localize all spheres with the tracker",
+    "Localize the head with the tracker",
     Phase.PREPARATION,
     run,
     asks=(Topic.TOOL_CHANGE,),

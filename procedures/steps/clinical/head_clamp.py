@@ -51,7 +51,7 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
         )
     )
     subject = "Is the head clamped, and the clamp locked to the table?"
-    on_screws = f"{checked.implanted} spheres are on the screws" if checked.implanted else "no spheres"
+    on_screws = f"{checked.implanted} spheres are on the screws" if checked.implanted else "no markers"
     value = f"patient position {table_orientation}; {on_screws}"
     context.confirm(Topic.HEAD_CLAMPED, subject, value)
     frames, _ = read_frames_at_rest(context.workcell, count=FRAMES)
@@ -65,7 +65,10 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
             action="Turn the head or the tracker, clear the line of sight, then repeat the step.",
         )
     clamped = ClampedHead(patient_position=table_orientation, spheres=seen, implanted=checked.implanted)
-    return Outcome(clamped, summary=f"{seen} spheres seen, {checked.implanted} implanted")
+    return Outcome(
+        clamped,
+        summary=f"{seen} spheres seen, {checked.implanted} implanted" if checked.implanted else "no markers",
+    )
 
 
 STEP = StepSpec(

@@ -34,7 +34,8 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surroundings import READS, planning_scene_of
 from procedures.steps.conditions import needs_guide_unmounted
 from procedures.strategies.catalogue import BestOfEach, StrategyByTrajectory
-from procedures.strategies.strategy import Strategy, arrival_signs, rest_sides
+from procedures.strategies.skin_looks import SKIN
+from procedures.strategies.strategy import ONE_SIDE, Strategy, arrival_signs, rest_sides
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from procedures.workcell.motions import AnnouncedMotions
@@ -134,15 +135,16 @@ def announce_motions(motions: Sequence[MotionPreview], small: str) -> AnnouncedM
 
 
 class LocalizationPose(Values):
-    """Pose for localizing one sphere."""
+    """Pose for localizing one sphere, or for one look at the skin."""
 
-    fiducial: int = Field(description="Index of the sphere in the CT.")
+    fiducial: int = Field(description="Index of the sphere in the CT, or number of the look at the skin.")
     tool_pose: FramedPose = Field(description="Pose robot <- tool with the tool centre on the sphere.")
     approach_rad: JointVector = Field(description="Joints where the approach along its axis begins.")
     joints_rad: JointVector = Field(description="Joints at the sphere.")
     approach_signs: tuple[int, ...] | None = Field(
         default=None,
-        description="With strategy `learning`: direction from which each joint arrives, +1 or -1.",
+        description="With strategy `learning`, and at the skin: direction from which each joint arrives, "
+        "+1 or -1.",
     )
 
 
@@ -194,13 +196,19 @@ class CheckedPaths(StepResult, kind="path_check"):
     def strategy_of(self, trajectory: str) -> str:
         return self.replaced.get(trajectory, self.chosen.get(trajectory, self.strategy))
 
+    @property
+    def skin_looks(self) -> tuple[LocalizationPose, ...]:
+        """Looks at the skin, for all trajectories, in the order in which they are taken."""
+        return self.localizations.get(SKIN, ())
+
     def looks_for(self, trajectory: str | None) -> tuple[tuple[str, LocalizationPose], ...]:
         """Return the looks of `localizations_for`, each with its axis."""
-        axes = self.localizations if trajectory is None else (trajectory,)
+        over_spheres = [axis for axis in self.localizations if axis != SKIN]
+        axes = over_spheres if trajectory is None else (trajectory,)
         return tuple((axis, one) for axis in axes for one in self.localizations[axis])
 
     def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
-        """Return the localizations for a trajectory, or for None all of a strategy that registers once.
+        """Return those of spheres for a trajectory, or for None all of a strategy that registers once.
 
         In the order in which they are taken. Raises KeyError if there are none for this trajectory.
         """
@@ -209,12 +217,10 @@ class CheckedPaths(StepResult, kind="path_check"):
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
     """Choose joints for every remaining localization and target. Raises PLAN-007 naming all failing poses."""
-    correspondence = context.result(Correspondence)
-    localization = context.result(LocalizedFiducials)
-    matched = [pair[0] for pair in correspondence.pairs]
+    for before in (Correspondence, LocalizedFiducials):
+        context.result(before)
     context.progress(0.0, "checking every path")
-    setting, sight = arm_setting_of(context), StereoSight.of(context.workcell.calibrations.stereo_head)
-    return check_all_paths(context, setting, sight, localization.centres_mm[matched], matched)
+    return check_all_paths(context, arm_setting_of(context))
 
 
 def arm_setting_of(context: StepContext) -> ArmSetting:
@@ -238,18 +244,14 @@ def arm_setting_of(context: StepContext) -> ArmSetting:
     )
 
 
-def check_all_paths(
-    context: StepContext,
-    setting: ArmSetting,
-    sight: StereoSight,
-    centres_mm: Array,
-    numbers: Sequence[int],
-) -> Outcome[CheckedPaths]:
-    """Search paths over the spheres (n, 3), CT mm, and to the targets. Raises PLAN-007.
+def check_all_paths(context: StepContext, setting: ArmSetting) -> Outcome[CheckedPaths]:
+    """Search paths over the matched spheres, over the skin, and to the targets. Raises PLAN-007.
 
-    `numbers` (n,) are those of the localizations in the record. Unreachable trajectories are put to the
-    operator.
+    Unreachable trajectories are put to the operator.
     """
+    matched = [pair[0] for pair in context.result(Correspondence).pairs]
+    centres_mm = context.result(LocalizedFiducials).centres_mm[matched]
+    sight = StereoSight.of(context.workcell.calibrations.stereo_head)
     plan, scene = context.result(CheckedPlan), setting.scene
     assert scene is not None  # a case always checks clearance
     search = PathSearch(context, setting, centres_mm, sight)
@@ -272,7 +274,7 @@ def check_all_paths(
             joint_ranges_rad=check.joint_ranges_rad,
             largest_move_rad=check.largest_turn_rad,
             motions=tuple(MotionPreview.of(motion) for motion in motions),
-            localizations=_build_localizations(check, numbers, setting),
+            localizations=_build_localizations(check, matched, setting),
             targets=_build_targets(check, setting),
             left_out=search.left_out,
         ),
@@ -304,13 +306,14 @@ def _build_localizations(
     for reached in check.reached:
         visit = reached.visit
         if visit.name.kind is PoseKind.FIDUCIAL and visit.name.fiducial is not None:
-            sides = (
-                look_sides(setting, check.targets, [visit.name.trajectory])[0]
-                if setting.strategy.learns_arm
-                else None
-            )
+            sides: tuple[int, ...] | None = None
+            at_skin = visit.name.trajectory == SKIN
+            if at_skin:
+                sides = ONE_SIDE  # its known backlash helps only if the side is known
+            elif setting.strategy.learns_arm:
+                sides = look_sides(setting, check.targets, [visit.name.trajectory])[0]
             pose = LocalizationPose(
-                fiducial=numbers[visit.name.fiducial],
+                fiducial=visit.name.fiducial if at_skin else numbers[visit.name.fiducial],
                 tool_pose=FramedPose.of(visit.pose),
                 approach_rad=reached.approach_rad,
                 joints_rad=reached.at_rad,

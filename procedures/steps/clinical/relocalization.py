@@ -56,16 +56,18 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
     announced = announce_motions(motions, SMALL_STEPS) if motions else None
     with context.workcell.master.supervised.announce_step_motions(announced):
-        return _localize_spheres(context, paths)
+        context.workcell.master.mount.check(MountedTool.STEREO_HEAD)
+        planned = paths.looks_for(context.key.trajectory)
+        surround_stereo_head(context, planned[len(planned) // 2][1].joints_rad)
+        begin_looks(context, "before the spheres are localized again", Relocalization)
+        return localize_spheres(context, paths)
 
 
-def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalization]:
+def localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalization]:
+    """Localize the spheres of this localization, once looks have begun. Raises as `run`."""
     planned = paths.looks_for(context.key.trajectory)
     learns = find_strategy(paths.strategy).learns_arm
     workcell, settings = context.workcell, context.setting.settings
-    workcell.master.mount.check(MountedTool.STEREO_HEAD)
-    surround_stereo_head(context, planned[len(planned) // 2][1].joints_rad)
-    begin_looks(context, "before the spheres are localized again", Relocalization)
 
     def look(fiducial: int) -> None:  # in the very pose: the local errors of the arm show in it
         check_room(context, f"over sphere {fiducial + 1}", sides={Tracked.ARM: centring.arriving})

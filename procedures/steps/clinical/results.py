@@ -37,11 +37,10 @@ from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import OTHER_VERSION
 from ronna_hw.vectors import JointVector
 
+NOT_PREDICTED_OF_TOOL = "an instrument that is bent, or longer than its stop says"
 # Rms at the spheres that remains after a rigid fit, as measured in docs/reference/scanner-faults.md.
-NOT_PREDICTED = (
-    "an instrument that is bent, or longer than its stop says; a patient who moved during the scan: 0.09 mm "
-    "at the spheres for a motion by 0.3 mm"
-)
+PATIENT_MOVED = "a patient who moved during the scan: 0.09 mm at the spheres for a motion by 0.3 mm"
+NOT_PREDICTED = f"{NOT_PREDICTED_OF_TOOL}; {PATIENT_MOVED}"
 
 
 Numbers6 = tuple[float, float, float, float, float, float]
@@ -111,14 +110,24 @@ class ScannedLine(Values):
     )
 
 
+class ScannedLook(Values):
+    """One look at the skin, which is kept until the scan is whole."""
+
+    number: NonNegativeInt = Field(description="Of the look in the path check.")
+    lines: tuple[ScannedLine, ...] = Field(description="Lines with points, in the order of the scan.")
+    reason: str = Field(default="", description="Why a line shows no skin, if one does not.")
+    theatre_s: float = Field(description="Theatre time that it took, with the way to it.")
+
+
 class ScannedSurface(Relocalization, kind="surface_scan"):
-    """The skin as the stereo head saw it, in the place of spheres."""
+    """The skin as the stereo head saw it, in the place of spheres or besides some."""
 
     lines: tuple[ScannedLine, ...] = Field(description="Lines with points, in the order of the scan.")
     planned_looks: int = Field(description="Looks of the path check.")
     dark: dict[str, str] = Field(description="Looks without any line, by their number from 1, and why.")
     covered: float = Field(description="Share of the skin above the jaw within 10 mm of a point.")
-    theatre_s: float = Field(description="Theatre time from the first look to the last.")
+    theatre_s: float = Field(description="Theatre time of all looks and the ways to them, without pauses.")
+    kept_looks: int = Field(default=0, description="Looks that were taken before the scan was interrupted.")
 
     @property
     def scan(self) -> SurfaceScan:
@@ -129,6 +138,11 @@ class ScannedSurface(Relocalization, kind="surface_scan"):
     def looks_taken(self) -> tuple[int, ...]:
         """Numbers of the looks with points, ascending."""
         return tuple(sorted({line.look for line in self.lines}))
+
+    @classmethod
+    def beside(cls, spheres: Relocalization, **fields: object) -> Self:
+        """Build the result from a relocalization of spheres, and the lines beside it."""
+        return cls.model_validate({**spheres.model_dump(), **fields})
 
     @classmethod
     def without_spheres(cls, **fields: object) -> Self:

@@ -18,6 +18,7 @@ from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch
 from procedures.guards.stability import Subject, guide_unnoticed_mm
 from procedures.planning.tracker_sight import explain_hidden_frame
+from procedures.registration.movement import LEAST_POINTS
 from procedures.room.estimate import RoomEstimate
 from procedures.room.sighting import Rest, SeenSpheres, Sighting, Tracked, expect_frame, expect_spheres
 from procedures.steps.clinical.guide_load import require_unloaded
@@ -132,9 +133,10 @@ def _expect_look(
 ) -> Sighting:
     """Return a careful look as the arm at these joints would give it, with the frame on it in view.
 
-    A head without spheres is seen by the frame on its clamp.
+    A head with fewer than three spheres is seen by the frame on its clamp.
     """
     workcell = context.workcell
+    by_frame = watch.expect_clamp() if len(watch.spheres_mm) < LEAST_POINTS else {}
     on_arm = (watch.robot_from_tracker.inverse() @ robot_from_marker(workcell, joints_rad, sides)).as_matrix()
     markers_mm = workcell.tracker.markers_mm[workcell.calibrations.tracker_frame.tool]
     frame = expect_frame(on_arm[:3, 3], on_arm[:3, :3], markers_mm, CAREFUL_FRAMES)
@@ -142,7 +144,7 @@ def _expect_look(
     return Sighting(
         {Tracked.ARM: Rest(joints_rad, rests)},
         spheres,
-        {Tracked.ARM: frame, **({} if len(watch.spheres_mm) else watch.expect_clamp())},
+        {Tracked.ARM: frame, **by_frame},
         watch.tracker.pushes,
         watch.epoch,
     )

@@ -17,6 +17,7 @@ from procedures.runs.finishing import seal_run
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.manifest import LOG_FILES, WORLD_FILE, Manifest, hash_files_at_closing, seal
+from ronna_hw.records import Record
 
 REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
 
@@ -46,15 +47,23 @@ def finished_run(folder: Path) -> Path:
 
 
 def recorded_run(
-    run: Path, *results: tuple[StepKey, StepResult], opened: dict[str, str] | None = None
+    run: Path,
+    *results: tuple[StepKey, StepResult],
+    opened: dict[str, str] | None = None,
+    linked: bool = False,
 ) -> Path:
-    """A run folder with these results, in this order, each in place of a former one of its step."""
+    """A run folder with these results, in this order, each in place of a former one of its step.
+
+    With `linked` each has all earlier ones as parents.
+    """
     run.mkdir(exist_ok=True)
     case, journal = Case(run), Journal(run)
+    earlier: list[Record] = []
     if opened is not None:
         journal.write(Entry.OPENED, 0.0, run=run.name, **opened)
     for key, result in results:
-        stored = case.store(key, result, ())
+        stored = case.store(key, result, earlier if linked else ())
+        earlier.append(stored.record)
         gone = [one.identifier for one in case.records_superseded_by(key)]
         names = {"record": stored.record.identifier, "sha256": stored.record.sha256}
         journal.write(Entry.RESULT, 0.0, step=str(key), supersedes=gone, **names)

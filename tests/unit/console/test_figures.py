@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingCell
+from skin_case import registered_by_surface, scanned_surface, skin_in_ct
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.routing import Route
@@ -19,6 +21,7 @@ from console.recorded_case import RecordedCase
 from procedures.engine.case_view import CaseView, StepRow
 from procedures.operator.question import Evidence, PredictedError
 from procedures.reporting.case_figures import CaseFigures, SphereFigure, TrajectoryFigure
+from procedures.reporting.sections.surface import SurfaceSection
 from procedures.runs.finishing import seal_run
 
 PLACE = (1.0, 2.0, 3.0)
@@ -61,6 +64,26 @@ def test_a_prediction_appears_with_the_registration_of_its_target() -> None:
     first, every = after("registration:T1"), after("registration")
     assert [one.target for one in first.predictions] == ["T1"]
     assert every.predictions == FIGURES.predictions
+
+
+def test_results_on_the_skin_appear_as_those_of_spheres_do() -> None:
+    surface = SurfaceSection(skin_in_ct(), None, scanned_surface(), registered_by_surface())
+    figures = replace(FIGURES, surface=surface)
+
+    def shown(*done: str) -> CaseFigures:
+        view = CaseView(steps=tuple(StepRow(one, one, "", False, "done") for one in done))
+        found = figures_at(figures, view, view)
+        assert found is not None
+        assert found.surface is not None
+        return found
+
+    scanned = shown("surface_start", "surface_scan")
+    registered = shown("surface_start", "surface_scan", "surface_registration")
+    assert (scanned.surface and scanned.surface.scan) == surface.scan
+    assert scanned.surface is not None
+    assert scanned.surface.registration is None
+    assert (scanned.predictions, registered.predictions) == ((), FIGURES.predictions)
+    assert registered.surface == surface
 
 
 def test_figures_of_a_repeated_result_are_hidden_before_the_repetition() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from case_events import question
+from skin_case import registered_by_surface, scanned_surface, skin_in_ct
 
 from console.panels.case_state import advice, banner, chart, devices, mode, seat_line
 from console.panels.question import question_evidence, question_heading, question_pictures, question_words
@@ -24,9 +25,10 @@ from console.panels.results import (
     problems,
 )
 from procedures.engine.case_view import CaseView, DeviceRow, Notice, StepRow
-from procedures.engine.events import DeviceFact, DeviceState, Seat, Waiting
+from procedures.engine.events import DeviceFact, DeviceState, ScanProgress, Seat, Waiting
 from procedures.operator.question import Evidence, Identity, Picture, PredictedError
 from procedures.reporting.case_figures import CaseFigures
+from procedures.reporting.sections.surface import SurfaceSection
 from ronna_hw.log_output import LOG_FILE
 
 SCRIPT = "<script>alert(1)</script>"
@@ -205,3 +207,34 @@ def test_a_line_that_is_not_json_is_omitted_and_other_text_is_escaped(tmp_path: 
     assert "&lt;script" in shown
     assert 'class="warn"' in shown
     assert "torn" not in shown
+
+
+def test_a_scan_of_the_skin_is_shown_while_it_grows_and_then_by_what_the_registration_left_out() -> None:
+    known = SurfaceSection(skin_in_ct(), None, scanned_surface(), registered_by_surface())
+    growing = CaseView(
+        scan=ScanProgress(looks_done=7, looks_planned=18, covered_share=0.42, predicted_error_mm=0.61)
+    )
+    for words in ("7 of 18", "42%", "0.61"):
+        assert words in accuracy(growing, None)
+    asked = CaseFigures(
+        surface=known,
+        predictions=(PredictedError(target="T1", rms_mm=0.5, limit_mm=0.9, confidence=0.95, margin_mm=2.0),),
+    )
+    shown = accuracy(CaseView(), asked)
+    for words in (
+        "14 points",
+        "21%",
+        "Look 3 shows no line",
+        "Left out: left ear",
+        "unknown at cheeks, eyes",
+    ):
+        assert words in shown
+    pictured = pictures(replace(asked, pictures=("stereo-T1-1.png", "surface-residuals.png")))
+    assert "sphere 1" in pictured
+    assert "distance to the skin in the CT" in pictured
+
+
+def test_residuals_are_shown_whole_in_the_question_about_a_registration() -> None:
+    residuals = Picture(name="surface-residuals.png", sha256="ab")
+    shown = question_pictures(question(topic="registration:T1", pictures=(residuals,)))
+    assert 'class="whole" src="/picture/surface-residuals.png?shown=ab"' in shown

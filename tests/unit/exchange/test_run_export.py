@@ -24,7 +24,8 @@ from prepared_results import (
 from pydicom import dcmread
 from scanned_head import scanned_spheres
 from scipy.spatial.transform import Rotation
-from whole_run import IN_CT, PLAN, TOO_DEEP_MM, TRUE, whole_run
+from skin_case import IN_CT_MM, registered_by_surface, scanned_surface, skin_in_ct
+from whole_run import IMPORTED, IN_CT, PLAN, TOO_DEEP_MM, TRUE, whole_run
 
 from procedures.engine.case import StepKey
 from procedures.exchange.allowed_fields import FILES
@@ -290,7 +291,8 @@ def test_pictures_kept_in_a_run_are_not_exported(finished: Path, tmp_path: Path)
     closed = json.loads((finished / "journal.jsonl").read_text().splitlines()[-1])["files"]
     seal(finished, closed)
     written = export_run(finished, tmp_path / "export").files
-    assert {path.suffix for path in written} == {Path(name).suffix for name in FILES}
+    of_a_scan = {".ply", ".vtp"}
+    assert {path.suffix for path in written} == {Path(name).suffix for name in FILES} - of_a_scan
     assert sorted(written) == sorted(path for path in (tmp_path / "export").rglob("*") if path.is_file())
     assert not any(b"a picture" in path.read_bytes() for path in written)
 
@@ -359,3 +361,30 @@ def test_after_a_scan_of_the_clamped_head_its_spheres_are_exported_beside_those_
     assert rows[len(in_ct.markers)]["planning_ct_L_mm"] == ""
     used = dcmread(out / "registration-all.dcm").RegistrationSequence[1].UsedFiducialsSequence[0]
     assert used.ReferencedSOPInstanceUID == dcmread(out / "spheres.dcm").SOPInstanceUID
+
+
+def test_a_scan_of_the_skin_is_withheld_unless_asked_for(tmp_path: Path) -> None:
+    run = recorded_run(
+        tmp_path / "run",
+        (StepKey("ct_import"), IMPORTED),
+        (StepKey("skin_in_ct"), skin_in_ct()),
+        (StepKey("surface_scan"), scanned_surface()),
+        (StepKey("surface_registration"), registered_by_surface()),
+        linked=True,
+    )
+    plain, full = export_run(run, tmp_path / "plain"), export_run(run, tmp_path / "full", with_scan=True)
+    scan_files = {"scan.ply", "scan.vtp"}
+    assert {path.name for path in full.files} - {path.name for path in plain.files} == scan_files
+    assert json.loads((tmp_path / "plain" / "export.json").read_text())["withheld"] == dict(plain.withheld)
+    assert "--with-scan" in plain.withheld["scan of the skin"]
+    assert not full.withheld
+    head, _, body = (tmp_path / "full" / "scan.ply").read_bytes().partition(b"end_header\n")
+    points_mm = np.frombuffer(body, "<f8", count=3).tolist()
+    assert "in the frame ct" in head.decode()
+    np.testing.assert_allclose(points_mm, IN_CT_MM[0], atol=1e-9)
+    assert "registers on the skin" in plain.absent["spheres"]
+    assert not {path.name for path in plain.files} & {"spheres.dcm", "spheres.csv", "spheres.mrk.json"}
+    assert (
+        "UsedFiducialsSequence"
+        not in dcmread(tmp_path / "plain" / "registration-all.dcm").RegistrationSequence[1]
+    )

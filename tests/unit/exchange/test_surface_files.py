@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from procedures.exchange.surface_files import write_ply, write_vtp
+from procedures.exchange.surface_files import encode_scan_ply, encode_scan_vtp
 from procedures.registration.surface.scan import SurfaceScan
+from ronna_hw.frames import Frame
 
 
 @pytest.fixture
@@ -25,24 +25,23 @@ def scan() -> SurfaceScan:
     )
 
 
-def test_ply_names_its_columns_and_keeps_nanometres(scan: SurfaceScan, tmp_path: Path) -> None:
-    write_ply(scan, tmp_path / "scan.ply")
+def test_ply_names_its_columns_and_keeps_every_digit(scan: SurfaceScan) -> None:
+    head, _, body = encode_scan_ply(scan, Frame.CT).partition(b"end_header\n")
 
-    lines = (tmp_path / "scan.ply").read_text().splitlines()
-    names = [each.split()[-1] for each in lines if each.startswith("property")]
-    rows = np.loadtxt(lines[lines.index("end_header") + 1 :])
-    column = {name: rows[:, index] for index, name in enumerate(names)}
-    assert lines[:2] == ["ply", "format ascii 1.0"]
-    assert "robot" in lines[2]
-    np.testing.assert_allclose(np.column_stack([column[each] for each in "xyz"]), scan.points_mm, atol=1e-6)
-    np.testing.assert_allclose(column["covariance_yz"], scan.covariance_mm2[:, 1, 2], rtol=1e-8)
-    assert column["look"].tolist() == [0, 0, 1, 1, 1]
+    lines = head.decode().splitlines()
+    properties = [each.split()[1:] for each in lines if each.startswith("property")]
+    kinds = {"double": "<f8", "int": "<i4"}
+    rows = np.frombuffer(body, dtype=[(name, kinds[kind]) for kind, name in properties])
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    assert "in the frame ct" in lines[2]
+    np.testing.assert_array_equal(np.column_stack([rows[each] for each in "xyz"]), scan.points_mm)
+    np.testing.assert_array_equal(rows["covariance_yz"], scan.covariance_mm2[:, 1, 2])
+    assert rows["look"].tolist() == [0, 0, 1, 1, 1]
 
 
-def test_vtp_has_one_vertex_for_each_point(scan: SurfaceScan, tmp_path: Path) -> None:
-    write_vtp(scan, tmp_path / "scan.vtp")
+def test_vtp_has_one_vertex_for_each_point(scan: SurfaceScan) -> None:
+    root = ElementTree.fromstring(encode_scan_vtp(scan))
 
-    root = ElementTree.parse(tmp_path / "scan.vtp").getroot()
     arrays = {each.get("Name"): each for each in root.iter("DataArray")}
     piece = root.find("PolyData/Piece")
     assert piece is not None

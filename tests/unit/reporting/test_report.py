@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clinical_case import FIRST, LAST, TRAJECTORIES, ClinicalCell, done_later
+from finished_runs import recorded_run
 from prepared_results import (
     checked_paths,
     global_localization,
@@ -28,6 +29,8 @@ from prepared_results import (
 from report_figures import figures_in, figures_of_records
 from report_text import report_text
 from scipy.spatial.transform import RigidTransform
+from skin_case import registered_by_surface, scanned_surface, skin_in_ct
+from whole_run import IMPORTED
 
 from procedures.cli.runs.showing import show_run
 from procedures.engine.case import StepKey
@@ -539,3 +542,23 @@ def test_the_campaigns_means_in_the_report_are_those_that_were_stored() -> None:
         *(float(cells[depth, "xframe", "thesis-ocs", "4"][5]) for depth in ("0-50 mm", "50-120 mm")),
     ]
     assert [campaign for _, _, campaign in PUBLISHED_MM] == pytest.approx(stored, abs=0.0006)
+
+
+def test_a_registration_on_the_skin_is_reported_with_its_regions_and_without_spheres(tmp_path: Path) -> None:
+    run = recorded_run(
+        tmp_path / "run",
+        (StepKey("ct_import"), IMPORTED),
+        (StepKey("skin_in_ct"), skin_in_ct()),
+        (StepKey("surface_scan"), scanned_surface()),
+        (StepKey("surface_registration"), registered_by_surface()),
+        linked=True,
+    )
+    text = report_text(write_report(run, out=tmp_path / "out").read_text())
+    for words in (
+        "Registration on the skin",
+        "left ear 1.500 left out",
+        "cheeks, eyes 0.300 its shift counts",
+    ):
+        assert words in text
+    for heading in ("Spheres in the CT", "Registration, verified both ways"):
+        assert heading not in text

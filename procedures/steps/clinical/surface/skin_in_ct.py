@@ -1,6 +1,8 @@
-"""Skin in the CT, which takes the place of spheres: a case without markers registers on it."""
+"""Skin in the CT, to register on: in the place of spheres, or with few of them."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
@@ -9,7 +11,7 @@ from procedures.planning.faced_head import fit_cranium_and_face
 from procedures.registration.surface.errors import ARM_NOT_CALIBRATED, NO_PATIENT_FRAME, NO_PROJECTOR
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
-from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
+from procedures.steps.clinical.fiducial_localization import ExcludedSkin, LocalizedFiducials, SkinInCt
 from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.devices.sensors import line_projector
 
@@ -29,14 +31,17 @@ def run(context: StepContext) -> Outcome[SkinInCt]:
     if workcell.calibrations.arm is None:
         raise ARM_NOT_CALIBRATED("the arm of this theatre has no calibration record")
     context.result(ImportedCt)
+    spheres = context.result(LocalizedFiducials) if LocalizedFiducials in context.reads else None
     skin = skin_of(context)
     cranium, face = fit_cranium_and_face(skin)
     return Outcome(
         SkinInCt(
             series_instance_uid=volume_of(context).series_instance_uid,
             diameter_mm=SPHERE_DIAMETER_MM,
-            markers=(),
-            doubtful=(),
+            markers=() if spheres is None else spheres.markers,
+            doubtful=() if spheres is None else spheres.doubtful,
+            deformation=None if spheres is None else spheres.deformation,
+            localizer=context.clinical.methods.localizer,
             samples=len(skin.points_mm),
             cranium=cranium,
             face=face,
@@ -70,3 +75,4 @@ STEP = StepSpec(
     reads=(ImportedCt,),
     preconditions=needs_guide_unmounted,
 )
+WITH_SPHERES = replace(STEP, reads=(ImportedCt, LocalizedFiducials))

@@ -1,4 +1,4 @@
-"""Check of all paths of a case without markers: looks at the skin in the place of looks at spheres."""
+"""Check of all paths of a case that scans the skin: looks at it, besides those at spheres."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.planning.line_of_sight import SkinSight
-from procedures.planning.skin_views import choose_views, order_views
+from procedures.planning.skin_tour import tour_views
+from procedures.planning.skin_views import choose_views, mark_scannable
 from procedures.planning.visits import ArmSetting, Reached
 from procedures.registration.surface.errors import NO_STATIONS
-from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.stations import Station, choose_stations
 from procedures.registration.surface.surface import Surface
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -24,18 +23,15 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surroundings import READS
 from procedures.steps.conditions import needs_guide_unmounted
-from procedures.strategies.skin_looks import SkinLooks
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
 
-CANDIDATES, VIEWS = 36, 18  # looks that are compared, and taken: 54 lines, three to a look
-LOOK_S = 3.0  # theatre time of a look
+CANDIDATES, VIEWS = 36, 20  # looks that are compared, and among which those on a short way are taken
+LOOK_S = 2.1  # theatre time at a look, of four lines
+SCAN_S = 54.0  # theatre time of all looks and the ways to them
 # Safety against a look from which more is expected than its lines show (U).
 SEEN_MM = 12.0  # of the skin around the middle of a look: half of a line
 FEWEST_VIEWS = 8  # with fewer the scan would be refused for its coverage
-# Parts that hair grows on or that lie on the headrest, where a line does not show the skin; and the jaw,
-# which opens.
-NOT_SCANNED = ("vault", "occiput", "neck", "jaw")
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
@@ -44,7 +40,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     context.progress(0.0, "choosing looks at the skin")
     setting, skin = arm_setting_of(context), skin_of(context)
     places_mm = skin.points_mm
-    scanned = ~np.isin(HeadAxes.of(skin).name_parts(places_mm), NOT_SCANNED)
+    scanned = mark_scannable(skin)
     branch = setting.kinematics.branch_of(setting.start_rad)
     found = choose_views(setting, branch, places_mm[scanned], skin.normals[scanned], CANDIDATES)
     targets_mm = [one.target_mm for one in context.result(CheckedPlan).plan.trajectories]
@@ -54,9 +50,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
             "the arm can look at few places on the skin", limit=f"{FEWEST_VIEWS} looks", got=str(len(views))
         )
     context.progress(0.2, "checking every path")
-    setting = replace(setting, strategy=SkinLooks(views))
-    sight = SkinSight.of(context.workcell.calibrations.stereo_head)
-    return check_all_paths(context, setting, sight, np.empty((0, 3)), range(len(views)))
+    return check_all_paths(context, replace(setting, skin_looks=views))
 
 
 def choose_by_error(
@@ -64,7 +58,7 @@ def choose_by_error(
 ) -> tuple[Transform, ...]:
     """Return the views that lower the expected error at the targets (n, 3), CT mm, most, as they are taken.
 
-    The rest of the scan's time is for the first of the others: they are spread over the skin.
+    The rest of the scan's time is for others, which are spread over the skin, as far as they are on the way.
     """
     ct_from_robot, points_mm = setting.robot_from_ct.inverse(), skin.points_mm
     stations = []
@@ -74,7 +68,8 @@ def choose_by_error(
         stations.append(Station(points_mm[near], skin.normals[near], LOOK_S))
     best = choose_stations(stations, targets_mm, worth_mm_per_s=0.0).stations
     chosen = [*best, *(number for number in range(len(views)) if number not in best)][:VIEWS]
-    return tuple(one.visit.pose for one in order_views(setting, [views[number] for number in chosen]))
+    tour = tour_views(setting, [views[number] for number in chosen], len(best), LOOK_S, SCAN_S)
+    return tuple(one.visit.pose for one in tour)
 
 
 STEP = StepSpec(

@@ -1,4 +1,4 @@
-"""Registration on the scanned skin, with a predicted error for every target.
+"""Registration on the scanned skin, and on spheres if there are any, with a predicted error for every target.
 
 The prediction is the mixture over all misfits of the skin that the scan allows, with the arm's errors at
 looks and target; see `procedures.registration.surface`.
@@ -15,11 +15,12 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Evidence, Picture, Question, Topic
 from procedures.planning.guide import direction_covariance_mm2, instrument_covariance_mm2
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration.error_sources import DIRECTION, FUSION, GUIDE_TIP, INSTRUMENT, STEREO_HEAD
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE
+from procedures.registration.surface.spheres import LookedSpheres
 from procedures.registration.surface.surface_registration import SurfaceRegistration, register_surface
 from procedures.registration.target_prediction import SharedErrors
 from procedures.registration.verification import verify_two_way
@@ -27,11 +28,12 @@ from procedures.steps.clinical import error_budget
 from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import SkinInCt
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import against_margins, exclude_beyond_margin, picture_of
 from procedures.steps.clinical.results import (
-    NOT_PREDICTED,
+    NOT_PREDICTED_OF_TOOL,
     ErrorShare,
     Prediction,
     RegisteredBySurface,
@@ -39,12 +41,14 @@ from procedures.steps.clinical.results import (
     SkinRegion,
 )
 from procedures.steps.clinical.room import ROOM_READS
+from procedures.steps.clinical.sphere_pairs import LookedPairs
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surface.skin_pictures import RESIDUALS_PICTURE, draw_residuals
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
+from ronna_hw.text import format_count
 
-SKIN = "skin and its misfit, scan and arm"  # source of error: they are adjusted together
 SLIPPING = "a head that slips in its clamp, of which the tracker sees the frame alone"
 LEFT_AND_RIGHT = (
     "The scan cannot tell the skin of this head from its mirror image. Compare a sign on one side of the "
@@ -55,7 +59,7 @@ LEFT_AND_RIGHT = (
 def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     """Register the scan to the skin in the CT, and have the predicted error accepted.
 
-    Raises SRF-001 to SRF-010, PRO-002, PRO-007.
+    Raises SRF-001 to SRF-012, PRO-002, PRO-007.
     """
     if context.workcell.master.tool is MountedTool.GUIDE:
         raise GateFailed(
@@ -66,23 +70,32 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     for before in (ImportedCt, SkinInCt):
         context.result(before)
     plan, scanned = context.result(CheckedPlan), context.result(ScannedSurface)
-    found = _register(context, scanned)
+    looked = LookedPairs.of(context) if scanned.fiducials else None
+    found = _register(context, scanned, looked)
     planned = [plan.trajectory(name) for name in context.served_trajectories]
-    predictions = tuple(_predict(context, scanned, found, one) for one in planned)
+    predictions = tuple(_predict(context, scanned, looked, found, one) for one in planned)
     left_out = exclude_beyond_margin(context, plan, predictions)
-    _accept(context, plan, found, predictions, left_out)
+    picture = context.keep_picture(RESIDUALS_PICTURE, draw_residuals(skin_of(context), found))
+    _accept(context, plan, found, predictions, left_out, picture)
     kept = found.residuals_mm[~found.excluded]
     worst = max(predictions, key=lambda one: one.rms_mm)
     changed = () if found.changed is None else (SkinRegion.of(found.changed),)
+    localized = context.result(SkinInCt)
     return Outcome(
         RegisteredBySurface(
             robot_from_ct=FramedPose.of(found.robot_from_ct),
-            pairs=0,
+            pairs=len(found.spheres),
             fre_mm=float(np.sqrt(np.mean(kept**2))),
-            residuals_mm=(),
-            leave_one_out_mm=(),
+            residuals_mm=found.sphere_residuals_mm.tolist(),
+            leave_one_out_mm=tuple(one.away_mm for one in found.spheres),
             predictions=predictions,
-            two_way=verify_two_way(np.empty((0, 3)), np.empty((0, 3)), (), found.robot_from_ct),
+            two_way=verify_two_way(
+                localized.centres_mm,
+                context.result(GlobalLocalization).points_mm,
+                context.result(SurfaceStart).pairs,
+                found.robot_from_ct,
+                ct_disagreement_mm=localized.disagreement_mm,
+            ),
             left_out=left_out,
             points=len(found.points_mm),
             excluded=float(np.mean(found.excluded)),
@@ -94,13 +107,19 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
         ),
         summary=f"predicted target error {worst.rms_mm:.2f} mm rms; the skin differs by "
         f"{found.misfit_mm:.2f} mm"
+        + "".join(
+            f"; sphere {one.number + 1} {one.away_mm:.2f} mm from where the rest has it"
+            for one in found.spheres
+        )
         + "".join(f"; the skin moved {one.shift_mm:.1f} mm at {', '.join(one.parts)}" for one in changed)
         + "".join(f"; without {name}" for name in left_out),
     )
 
 
-def _register(context: StepContext, scanned: ScannedSurface) -> SurfaceRegistration:
-    looks, places_mm = _looks_of(context, scanned)
+def _register(
+    context: StepContext, scanned: ScannedSurface, looked: LookedPairs | None
+) -> SurfaceRegistration:
+    looks, places_mm = _looks_of(context, scanned, looked)
     targets = [context.result(CheckedPlan).trajectory(name).target_mm for name in context.served_trajectories]
     return register_surface(
         scanned.scan,
@@ -108,14 +127,32 @@ def _register(context: StepContext, scanned: ScannedSurface) -> SurfaceRegistrat
         context.result(SurfaceStart).start,
         targets_ct_mm=np.array(targets),
         arm=(*error_budget.errors_at_looks(context, looks, places_mm), _head_errors(context, looks)),
+        spheres=None if looked is None else _spheres_of(looked),
     )
 
 
-def _looks_of(context: StepContext, scanned: ScannedSurface) -> tuple[list[LocalizationPose], Array]:
-    """Return the planned looks that showed the skin, and the places of their tool centre, robot frame."""
-    planned = context.result(CheckedPaths).localizations_for(context.key.trajectory)
+def _spheres_of(looked: LookedPairs) -> LookedSpheres:
+    """Return the looks at spheres with all of their errors but the arm's; several at one share the CT's."""
+    numbers = np.array(looked.fiducials)
+    at_sphere_mm2, at_look_mm2 = looked.ct_mm2 + looked.seating_mm2, looked.stereo_mm2 + looked.sides_mm2
+    blocks = np.where((numbers[:, None] == numbers)[:, :, None, None], at_sphere_mm2[:, None], 0.0)
+    blocks[np.diag_indices(len(numbers))] += at_look_mm2
+    size = 3 * len(numbers)
+    return LookedSpheres(
+        numbers, looked.image_mm, looked.physical_mm, blocks.transpose(0, 2, 1, 3).reshape(size, size)
+    )
+
+
+def _looks_of(
+    context: StepContext, scanned: ScannedSurface, looked: LookedPairs | None
+) -> tuple[list[LocalizationPose], Array]:
+    """Return the looks that showed the skin, then those at spheres, and the places looked at, robot frame."""
+    planned = context.result(CheckedPaths).skin_looks
     looks = [planned[number] for number in scanned.looks_taken]
-    return looks, np.array([one.tool_pose.transform.translation_mm for one in looks])
+    places_mm = np.array([one.tool_pose.transform.translation_mm for one in looks])
+    if looked is None:
+        return looks, places_mm
+    return [*looks, *looked.looks], np.vstack([places_mm, looked.physical_mm])
 
 
 def _head_errors(context: StepContext, looks: list[LocalizationPose]) -> SharedErrors:
@@ -126,10 +163,14 @@ def _head_errors(context: StepContext, looks: list[LocalizationPose]) -> SharedE
 
 
 def _predict(
-    context: StepContext, scanned: ScannedSurface, found: SurfaceRegistration, planned: PlannedTrajectory
+    context: StepContext,
+    scanned: ScannedSurface,
+    looked: LookedPairs | None,
+    found: SurfaceRegistration,
+    planned: PlannedTrajectory,
 ) -> Prediction:
     """Predict the tip's error at a target: of the registration with the arm, and what is added there."""
-    looks, places_mm = _looks_of(context, scanned)
+    looks, places_mm = _looks_of(context, scanned, looked)
     held = error_budget.predict_held_guide(context, planned, found.robot_from_ct, None)
     arm = (
         *error_budget.arm_errors(context, looks, places_mm, planned.id, held),
@@ -149,8 +190,8 @@ def _predict(
     if planned.fusion_error_mm is not None:
         added_mm2[FUSION] = np.eye(3) * planned.fusion_error_mm**2 / 3.0
     total = replace(by_surface, covariances_mm2=by_surface.covariances_mm2 + sum(added_mm2.values()))
-    shares = {SKIN: by_surface.rms_mm} | {
-        name: float(np.sqrt(np.trace(one))) for name, one in added_mm2.items()
+    shares_mm2 = found.split(planned.target_mm, arm) | {
+        name: float(np.trace(one)) for name, one in added_mm2.items()
     }
     return Prediction(
         target=planned.id,
@@ -158,8 +199,8 @@ def _predict(
         limit_mm=total.limit_mm(DEFAULT_CONFIDENCE),
         confidence=DEFAULT_CONFIDENCE,
         formula="mixture over the misfits of the skin",
-        excluded=f"{NOT_PREDICTED}; {SLIPPING}",
-        budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in shares.items()),
+        excluded=f"{NOT_PREDICTED_OF_TOOL}; a patient who moved during the CT; {SLIPPING}",
+        budget=tuple(ErrorShare(source=name, rms_mm=mean_mm2**0.5) for name, mean_mm2 in shares_mm2.items()),
     )
 
 
@@ -169,6 +210,7 @@ def _accept(
     found: SurfaceRegistration,
     predictions: tuple[Prediction, ...],
     left_out: Mapping[str, str],
+    residuals: Picture,
 ) -> None:
     """Have the operator accept the registration for each target. Raises PRO-002."""
     if not found.side_proven:
@@ -188,18 +230,37 @@ def _accept(
         context.require_yes(
             Question(
                 Topic.REGISTRATION,
-                f"Accept the registration on the skin for {predicted.target}?",
+                f"Accept the registration on {format_fit(found)} for {predicted.target}?",
                 f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
                 f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
                 f"{against[0].caution}\nthe skin differs from the CT by {found.misfit_mm:.2f} mm over "
                 f"{found.misfit_length_mm:.0f} mm; {found.coverage:.0%} of it was scanned"
-                f"\nnot included: {predicted.excluded}",
+                + "".join(
+                    f"\nsphere {one.number + 1} is {one.away_mm:.2f} mm from where everything else has it, "
+                    f"about {one.rms_mm:.2f} mm are expected"
+                    for one in found.spheres
+                )
+                + f"\nnot included: {predicted.excluded}",
                 trajectory=predicted.target,
-                evidence=(error_budget.budget_table(predicted),),
+                evidence=(error_budget.budget_table(predicted), *_tabulate_changed(found)),
                 predicted=against,
-                pictures=picture_of(context, predicted.target),
+                pictures=(*picture_of(context, predicted.target), residuals),
             )
         )
+
+
+def _tabulate_changed(found: SurfaceRegistration) -> tuple[Evidence, ...]:
+    """Tabulate the skin that has probably moved."""
+    if found.changed is None:
+        return ()
+    row = (", ".join(found.changed.parts), f"{found.changed.shift_mm:.2f}")
+    head = ("skin", "moved outwards, mm")
+    return (Evidence(title="Skin that has probably moved since the CT", head=head, rows=(row,)),)
+
+
+def format_fit(found: SurfaceRegistration) -> str:
+    """Say what was registered: the skin, with spheres if there are any."""
+    return "the skin" + (f" and {format_count(len(found.spheres), 'sphere')}" if found.spheres else "")
 
 
 STEP = StepSpec(

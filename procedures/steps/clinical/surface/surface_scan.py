@@ -23,13 +23,16 @@ from procedures.steps.clinical.path_check import (
     announce_motions,
     motions_over_spheres,
 )
-from procedures.steps.clinical.relocalization import arriving, begin_looks
-from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedSurface
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.relocalization import arriving, begin_looks, localize_spheres
+from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedLook, ScannedSurface
 from procedures.steps.clinical.room import ROOM_READS, check_room
-from procedures.steps.clinical.surface.coverage_picture import draw_coverage
+from procedures.steps.clinical.surface.scan_coverage import ScanCoverage, describe_scan
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, draw_coverage
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
+from procedures.strategies.skin_looks import SKIN
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import Centring
 from procedures.workcell.line_look import LineLook
@@ -38,67 +41,135 @@ from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.vectors import vector3
 
-ACROSS_MM = (0.0, 6.0, -6.0)  # places of the line across a look, along the tool's y axis
+ACROSS_MM = (-9.0, -3.0, 3.0, 9.0)  # places of the line across a look, along the tool's y axis
 LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
 CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
 DECIMALS = 4  # of a point in the record, mm
 SMALL_STEPS = "the small steps across each place on the skin"
+OF_LINES = ("lines", "planned_looks", "dark", "covered", "theatre_s", "kept_looks")  # of the result
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
 
 
 def run(context: StepContext) -> Outcome[ScannedSurface]:
-    """Scan the skin from all looks of the path check. Raises SRF-032 if none shows a line, PRO-007."""
+    """Scan the skin from all looks of the path check, once for all trajectories, and localize the spheres.
+
+    Raises SRF-032 if no look shows a line, PRO-007, and for spheres PRO-008, PRO-009, STE-014.
+    """
     paths = context.result(CheckedPaths)
-    motions = motions_over_spheres(paths.motions, context.key.trajectory)
+    before = None  # the scan of another trajectory; who repeats this step has the skin scanned again
+    if not context.done_before:
+        before = context.result_among(ScannedSurface, lambda found: found[0] if found else None)
+    own = context.key.trajectory
+    axes = [own] if own is None or before is not None else [SKIN, own]
+    motions = [one for axis in axes for one in motions_over_spheres(paths.motions, axis)]
     announced = announce_motions(motions, SMALL_STEPS) if motions else None
     with context.workcell.master.supervised.announce_step_motions(announced):
-        return _scan(context, paths)
+        return _look(context, paths, before)
+
+
+def _look(
+    context: StepContext, paths: CheckedPaths, before: ScannedSurface | None
+) -> Outcome[ScannedSurface]:
+    """Take all looks of this localization; lines of a scan `before` serve again."""
+    context.workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    at_spheres = [one for _, one in paths.looks_for(context.key.trajectory)]
+    looks = at_spheres if before is not None else paths.skin_looks
+    surround_stereo_head(context, looks[len(looks) // 2].joints_rad)
+    begin_looks(context, "before the skin is scanned", ScannedSurface)
+    scanned = _scan(context, paths) if before is None else Outcome(before, "the skin is scanned already")
+    if not at_spheres:
+        context.workcell.record_scanned_look(_name_of(context), None)
+        return scanned
+    surround_stereo_head(context, at_spheres[len(at_spheres) // 2].joints_rad)
+    spheres = localize_spheres(context, paths)
+    context.workcell.record_scanned_look(_name_of(context), None)
+    lines = {name: getattr(scanned.result, name) for name in OF_LINES}
+    return Outcome(
+        ScannedSurface.beside(spheres.result, **lines), summary=f"{scanned.summary}; {spheres.summary}"
+    )
 
 
 def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     context.result(ImportedCt)
-    planned = [one for _, one in paths.looks_for(context.key.trajectory)]
-    workcell = context.workcell
-    workcell.master.mount.check(MountedTool.STEREO_HEAD)
-    surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
-    begin_looks(context, "before the skin is scanned", ScannedSurface)
+    planned, workcell = paths.skin_looks, context.workcell
     workcell.sensors.read_around_tool(LINE_AREA_PX)
-    began_s = workcell.clock.now_s()
-    lines: list[ScannedLine] = []
-    dark: dict[str, str] = {}
-    offsets_mm: list[Array] = []
-    for number, one in enumerate(planned):
-        context.progress(number / len(planned), f"scanning the skin, look {number + 1} of {len(planned)}")
-        scanner = _Scanner(context, number, one, arriving(context, paths, one))
-        seen = scanner.scan()
-        if not seen:
-            dark[str(number + 1)] = scanner.reason
-        lines += seen
-        offsets_mm += [
-            np.median(line.points_mm, axis=0) - one.tool_pose.transform.translation_mm for line in seen
-        ]
-    theatre_s = workcell.clock.now_s() - began_s
-    for name, reason in dark.items():
-        context.find(f"look {name} at the skin shows no line: {reason}")
+    kept = [ScannedLook.model_validate(one) for one in workcell.scanned_looks(_name_of(context))]
+    if kept:
+        context.find(f"{len(kept)} of {len(planned)} looks at the skin are kept from before the interruption")
+    looks = _take_looks(context, paths, kept)
+    dark = {str(one.number + 1): one.reason for one in looks if not one.lines}
+    lines = [line for one in looks for line in one.lines]
+    for number, reason in dark.items():
+        context.find(f"look {number} at the skin shows no line: {reason}")
     require_lines(lines, dark)
-    scanner.back_off()
+    over_skin = Centring(workcell, None, LINE_AREA_PX, context.setting.settings.approach_mm)
+    if over_skin.is_over_sphere:
+        over_skin.back_off()
     check_room(context, "after the skin was scanned")
-    points_mm = np.concatenate([line.points_mm for line in lines])
-    in_ct = np.asarray(context.result(SurfaceStart).robot_from_ct.transform.inverse().apply(points_mm))
-    covered, picture = draw_coverage(skin_of(context), in_ct)
-    context.keep_picture("surface-coverage.png", picture)
+    points_mm = _points_in_ct(context, lines)
+    covered, picture = draw_coverage(skin_of(context), points_mm)
+    context.keep_picture(COVERAGE_PICTURE, picture)
     return Outcome(
         ScannedSurface.without_spheres(
-            coarse_offset_mm=vector3(np.mean(offsets_mm, axis=0)),
+            coarse_offset_mm=vector3(np.mean([_offset_mm(line, planned) for line in lines], axis=0)),
             lines=lines,
             planned_looks=len(planned),
             dark=dark,
             covered=covered,
-            theatre_s=theatre_s,
+            theatre_s=sum(one.theatre_s for one in looks),
+            kept_looks=len(kept),
         ),
         summary=f"{len(lines)} lines, {len(points_mm)} points, {covered:.0%} of the skin above the jaw"
         + (f"; {len(dark)} looks show no line" if dark else ""),
     )
+
+
+def _name_of(context: StepContext) -> str:
+    """Return the name under which looks are kept: a path check, which is void once something has moved."""
+    return context.identifier(CheckedPaths)
+
+
+def _take_looks(
+    context: StepContext, paths: CheckedPaths, kept: Sequence[ScannedLook]
+) -> tuple[ScannedLook, ...]:
+    """Take the looks that are not kept, each on disk before the next. One that shows no line is not kept."""
+    planned, workcell, plan = paths.skin_looks, context.workcell, context.result(CheckedPlan)
+    ct_from_robot = context.result(SurfaceStart).robot_from_ct.transform.inverse()
+    coverage = ScanCoverage(
+        skin_of(context),
+        ct_from_robot.apply([one.tool_pose.transform.translation_mm for one in planned]),
+        [plan.trajectory(target).target_mm for target in context.served_trajectories],
+    )
+    looks = list(kept)
+    for one in kept:
+        coverage.add(_points_in_ct(context, one.lines))
+    taken = {one.number for one in kept}
+    for number in (place for place in range(len(planned)) if place not in taken):
+        state = coverage.after(len(looks), len(planned))
+        context.progress(len(looks) / len(planned), describe_scan(state), state)
+        began_s = workcell.clock.now_s()
+        scanner = _Scanner(context, number, planned[number], arriving(context, paths, planned[number]))
+        lines = tuple(scanner.scan())
+        theatre_s = workcell.clock.now_s() - began_s
+        looks.append(ScannedLook(number=number, lines=lines, reason=scanner.reason, theatre_s=theatre_s))
+        if lines:
+            workcell.record_scanned_look(_name_of(context), looks[-1].model_dump(mode="json"))
+            coverage.add(_points_in_ct(context, lines))
+    state = coverage.after(len(looks), len(planned))
+    context.progress(1.0, describe_scan(state), state)
+    return tuple(looks)
+
+
+def _points_in_ct(context: StepContext, lines: Sequence[ScannedLine]) -> Array:
+    """Return the points (n, 3) of lines in the CT, by the start of the registration."""
+    ct_from_robot = context.result(SurfaceStart).robot_from_ct.transform.inverse()
+    return np.asarray(ct_from_robot.apply(np.concatenate([line.points_mm for line in lines])))
+
+
+def _offset_mm(line: ScannedLine, planned: Sequence[LocalizationPose]) -> Array:
+    """Return how far a line lies from where its look was planned, (3,) mm."""
+    expected_mm = planned[line.look].tool_pose.transform.translation_mm
+    return np.asarray(np.median(line.points_mm, axis=0) - expected_mm)
 
 
 def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str]) -> None:
@@ -143,11 +214,6 @@ class _Scanner:
             else:
                 lines.append(self._record(seen))
         return lines
-
-    def back_off(self) -> None:
-        """Back off along the tool axis, if the arm is over the skin."""
-        if self._centring.is_over_sphere:
-            self._centring.back_off()
 
     def _record(self, seen: LineLook) -> ScannedLine:
         workcell, found = self._context.workcell, seen.points

@@ -1,10 +1,13 @@
 """Start of a registration on the skin: landmarks of the head that are touched with a pointer.
 
 Nose and ears are where the head reaches furthest to the front and to either side, so that a person finds
-them on the patient and the computer in the CT, without a mark on either.
+them on the patient and the computer in the CT, without a mark on either. They also tell which reading of the
+tracker is which sphere, if the head carries some: up to three could not tell that by their distances.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +19,7 @@ from procedures.journal.results import FramedPose
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import LANDMARKS
-from procedures.registration.surface.starts import Start
+from procedures.registration.surface.starts import Start, pair_spheres
 from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical.coarse_match import room_prior
 from procedures.steps.clinical.correspondence import READ_AGAIN, SurfaceStart, TouchedPoint, touch_head
@@ -26,7 +29,7 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.conditions import needs_guide_unmounted
-from ronna_hw.text import format_against_limit
+from ronna_hw.text import format_against_limit, format_count
 from ronna_hw.vectors import vector3
 
 TOUCHED = ("tip of the nose", "left ear", "right ear")
@@ -39,13 +42,15 @@ MOST_APART_MM = 4.0 * LANDMARK_SD_MM
 def run(context: StepContext) -> Outcome[SurfaceStart]:
     """Have the landmarks touched, and fit the head to them. Raises PRO-007, REG-013."""
     context.result(ImportedCt)
-    context.result(SkinInCt)
     room, plan = context.result(GlobalLocalization), context.result(CheckedPlan)
     volume, skin_mm = volume_of(context), skin_of(context).points_mm
     in_ct_mm = np.array([find_landmark(volume, skin_mm, LANDMARKS[one]) for one in TOUCHED])
     orders = {one: f"touch the {one} with the pointer, where it reaches furthest," for one in TOUCHED}
     touched_mm = np.array([touch_head(context, orders[one], LANDMARKS[one]) for one in TOUCHED])
     start = Start.from_landmarks(in_ct_mm, touched_mm, LANDMARK_SD_MM)
+    localized = context.result(SkinInCt)
+    paired = pair_spheres(start, in_ct_mm, touched_mm, localized.centres_mm, room.points_mm)
+    start = replace(start, robot_from_ct=paired.robot_from_ct)
     pose = start.robot_from_ct
     off_mm = np.linalg.norm(touched_mm - pose.apply(in_ct_mm), axis=1)
     apart_mm = float(np.sqrt(np.mean(off_mm**2)))
@@ -63,11 +68,17 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     return Outcome(
         SurfaceStart(
             status=MatchStatus.UNIQUE,
-            pairs=(),
+            pairs=paired.pairs,
             robot_from_ct=FramedPose.of(pose),
-            residuals_mm=(),
+            residuals_mm=paired.residuals_mm,
             margin_nats=None,
-            two_way=verify_two_way(np.empty((0, 3)), room.points_mm, (), pose),
+            two_way=verify_two_way(
+                localized.centres_mm,
+                room.points_mm,
+                paired.pairs,
+                pose,
+                ct_disagreement_mm=localized.disagreement_mm,
+            ),
             landmarks=tuple(
                 TouchedPoint(landmark=name, in_ct_mm=vector3(there), touched_mm=vector3(here), off_mm=off)
                 for name, there, here, off in zip(TOUCHED, in_ct_mm, touched_mm, off_mm.tolist(), strict=True)
@@ -75,7 +86,8 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
             turn_sd_rad=start.turn_rad,
             place_sd_mm=start.place_mm,
         ),
-        summary=f"{len(TOUCHED)} landmarks, {apart_mm:.1f} mm rms from their fit",
+        summary=f"{len(TOUCHED)} landmarks, {apart_mm:.1f} mm rms from their fit"
+        + (f"; {format_count(len(paired.pairs), 'sphere')} paired" if paired.pairs else ""),
     )
 
 

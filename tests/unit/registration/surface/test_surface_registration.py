@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from procedures.registration.error_sources import LINE, SKIN
 from procedures.registration.surface.checks import SurfaceLimits
 from procedures.registration.surface.peers import register_by_closest_points
 from procedures.registration.surface.starts import Start
@@ -99,6 +100,23 @@ def test_an_error_that_the_arm_has_at_the_target_too_cancels(heads, scan_of):
     assert found.predict(TARGETS_MM[0]).rms_mm > 3.0
     together = found.predict(TARGETS_MM[0], arm)
     assert together.rms_mm == pytest.approx(alone.predict(TARGETS_MM[0]).rms_mm, rel=0.1)
+
+
+def test_the_shares_of_skin_scan_and_arm_add_up_to_the_predicted_square(heads, scan_of):
+    made = scan_of(heads[0], 5)
+    looks = len(np.unique(made.scan.look))
+    shift = np.zeros((looks, 3, 1))
+    shift[:, 0] = 0.5
+    alike = SharedErrors("alike", shift, shift[0])
+    only_here = SharedErrors("only here", np.zeros_like(shift), shift[0])
+    arm = [alike, only_here]
+    found = register_surface(made.scan, heads[0], made.start, arm=arm)
+    shares = found.split(TARGETS_MM[0], arm)
+    assert sum(shares.values()) == pytest.approx(found.predict(TARGETS_MM[0], arm).rms_mm ** 2)
+    assert list(shares) == [SKIN, LINE, "alike", "only here"]
+    assert shares["alike"] < 0.01  # it displaces scan and target by the same
+    assert shares["only here"] == pytest.approx(0.25)
+    assert shares[SKIN] > shares[LINE] > 0.0
 
 
 def test_the_misfit_that_the_scan_has_is_found(heads, scan_of):

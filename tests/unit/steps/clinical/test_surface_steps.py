@@ -9,10 +9,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from coded_errors import raises
+from prepared_results import localized_fiducials, plan
 
 from procedures.engine.context import StepContext
+from procedures.engine.methods import CaseMethods
 from procedures.imaging.head_landmarks import find_landmark
 from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.plan_model import FiducialKind
 from procedures.registration.surface.errors import (
     ARM_NOT_CALIBRATED,
     NO_PATIENT_FRAME,
@@ -21,6 +25,8 @@ from procedures.registration.surface.errors import (
     NOTHING_LIT,
 )
 from procedures.relocalization.errors import NoLine, PairNotUsable
+from procedures.runs.case import strategy_of
+from procedures.runs.request import CaseProcedure
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -49,9 +55,12 @@ def context_of(**workcell: Any) -> StepContext:
     return cast(StepContext, SimpleNamespace(workcell=SimpleNamespace(**workcell)))
 
 
-def test_later_steps_read_the_skin_where_they_read_spheres() -> None:
-    steps = {step.name: step for step in clinical_steps(on_skin=True)}
+@pytest.mark.parametrize("fiducials", [FiducialKind.SURFACE, FiducialKind.MIXED])
+def test_later_steps_read_the_skin_where_they_read_spheres(fiducials: FiducialKind) -> None:
+    steps = {step.name: step for step in clinical_steps(fiducials=fiducials)}
     bases = (LocalizedFiducials, Correspondence, Relocalization, RegisteredRobot)
+    skin = steps.pop("skin_in_ct")
+    assert (LocalizedFiducials in skin.reads) == (fiducials is FiducialKind.MIXED)
     read = {model for step in steps.values() for model in step.reads if issubclass(model, bases)}
     assert {model.kind for model in read} == {
         "skin_in_ct",
@@ -61,9 +70,36 @@ def test_later_steps_read_the_skin_where_they_read_spheres() -> None:
     }
 
 
+def test_without_spheres_no_strategy_looks_at_them_and_with_some_the_chosen_one_does() -> None:
+    chosen = CaseProcedure(strategy="jdms")
+    for kind, name in ((FiducialKind.SURFACE, "surface"), (FiducialKind.MIXED, "jdms")):
+        assert strategy_of(chosen, plan().model_copy(update={"fiducials": kind})).name == name
+
+
+def test_the_skin_in_the_ct_keeps_the_spheres_that_were_localized(monkeypatch: pytest.MonkeyPatch) -> None:
+    spheres = localized_fiducials()
+    head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(80.0, 95.0, 80.0))
+    skin, volume = SimpleNamespace(points_mm=np.zeros((4, 3)), excluded=()), SimpleNamespace()
+    volume.series_instance_uid = spheres.series_instance_uid
+    monkeypatch.setattr(skin_in_ct, "skin_of", lambda _context: skin)
+    monkeypatch.setattr(skin_in_ct, "volume_of", lambda _context: volume)
+    monkeypatch.setattr(skin_in_ct, "fit_cranium_and_face", lambda _skin: (head, head))
+    workcell = SimpleNamespace(
+        stereo=Head(), patient_frame="on clamp", calibrations=SimpleNamespace(arm=object())
+    )
+    for step, kept in ((skin_in_ct.STEP, ()), (skin_in_ct.WITH_SPHERES, spheres.markers)):
+        context = SimpleNamespace(
+            workcell=workcell,
+            reads=step.reads,
+            result=lambda _model: spheres,
+            clinical=SimpleNamespace(methods=CaseMethods()),
+        )
+        assert skin_in_ct.run(cast(StepContext, context)).result.markers == kept
+
+
 def test_an_assistant_and_a_scan_of_the_skin_are_not_combined() -> None:
     with pytest.raises(ValueError, match="replace the same step"):
-        clinical_steps(on_skin=True, roles=TWO_ARMS)
+        clinical_steps(fiducials=FiducialKind.SURFACE, roles=TWO_ARMS)
 
 
 def test_a_theatre_that_cannot_scan_or_watch_the_head_is_refused_first() -> None:
@@ -88,11 +124,7 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
         "arm_setting_of",
         lambda _context: SimpleNamespace(kinematics=kinematics, start_rad=()),
     )
-    monkeypatch.setattr(
-        surface_paths,
-        "HeadAxes",
-        SimpleNamespace(of=lambda _skin: SimpleNamespace(name_parts=lambda points: np.full(len(points), ""))),
-    )
+    monkeypatch.setattr(surface_paths, "mark_scannable", lambda skin: np.ones(len(skin.points_mm), bool))
     monkeypatch.setattr(surface_paths, "choose_views", lambda *_arguments: ())
     monkeypatch.setattr(surface_paths, "choose_by_error", lambda *_arguments: ())
     with raises(NO_STATIONS):

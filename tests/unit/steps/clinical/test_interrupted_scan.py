@@ -1,0 +1,177 @@
+"""A scan of the skin that was interrupted goes on with the looks that are missing."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from procedures.engine.context import StepContext
+from procedures.engine.events import ScanProgress
+from procedures.journal.journal import Entry
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.results import ScannedLine, ScannedLook
+from procedures.steps.clinical.surface import surface_scan
+from procedures.workcell.arm_history import ArmHistory
+from procedures.workcell.workcell import Workcell
+from ronna_hw.frames import Frame, Transform
+
+LOOKS, DARK = 5, 1  # number of the look that shows no line
+POSE = Transform.of(Frame.ROBOT, Frame.CT)
+
+
+class Skin:
+    """Flat skin of a hand's size."""
+
+    points_mm = np.stack(
+        [*np.meshgrid(np.arange(0.0, 100.0, 4.0), np.arange(0.0, 40.0, 4.0)), np.zeros((10, 25))], -1
+    )
+    points_mm = points_mm.reshape(-1, 3)
+    normals = np.tile([0.0, 0.0, 1.0], (len(points_mm), 1))
+
+
+class Cell:
+    """The workcell as far as it keeps looks: its lines are read back as after a kill."""
+
+    def __init__(self) -> None:
+        self.journal: list[dict[str, Any]] = []
+        self.clock = SimpleNamespace(now_s=lambda: 0.0)
+        self.scanned_looks = lambda paths: Workcell.scanned_looks(cast(Workcell, self), paths)
+        self.record_scanned_look = lambda paths, look: Workcell.record_scanned_look(
+            cast(Workcell, self), paths, look
+        )
+
+    @property
+    def _log(self) -> Any:
+        history = ArmHistory()
+        for line in self.journal:
+            history = history.with_line(line)
+        return SimpleNamespace(history=history, write=self._write)
+
+    def _write(self, entry: Entry, **data: Any) -> None:
+        self.journal.append({"entry": entry, **data})
+
+
+class Interrupted(Exception):
+    """Whatever ends a step early."""
+
+
+class Scan:
+    """Scans with looks that are counted."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.cell, self.taken, self.states = Cell(), list[int](), list[ScanProgress]()
+        self.paths, self.stops_at = "09-path_check", LOOKS
+        monkeypatch.setattr(surface_scan, "skin_of", lambda _context: Skin)
+        monkeypatch.setattr(surface_scan, "arriving", lambda *_arguments: None)
+        scan = self
+
+        class Scanner:
+            reason = ""
+
+            def __init__(self, _context: object, number: int, *_others: object) -> None:
+                self.number = number
+
+            def scan(self) -> list[ScannedLine]:
+                if self.number == scan.stops_at:
+                    raise Interrupted
+                scan.taken.append(self.number)
+                return [] if self.number == DARK else [line_of(self.number)]
+
+        monkeypatch.setattr(surface_scan, "_Scanner", Scanner)
+
+    def take(self) -> tuple[ScannedLook, ...]:
+        looks = [SimpleNamespace(tool_pose=SimpleNamespace(transform=at(one))) for one in range(LOOKS)]
+        paths = SimpleNamespace(skin_looks=looks)
+        trajectory = SimpleNamespace(target_mm=(50.0, 20.0, -60.0))
+        result = SimpleNamespace(
+            robot_from_ct=SimpleNamespace(transform=POSE), trajectory=lambda _name: trajectory
+        )
+        context = cast(
+            StepContext,
+            SimpleNamespace(
+                workcell=self.cell,
+                result=lambda _model: result,
+                identifier=lambda _model: self.paths,
+                served_trajectories=("T1",),
+                progress=lambda _share, _text, state: self.states.append(state),
+            ),
+        )
+        kept = [ScannedLook.model_validate(one) for one in self.cell.scanned_looks(self.paths)]
+        return surface_scan._take_looks(context, cast(CheckedPaths, paths), kept)
+
+
+def at(number: int) -> Transform:
+    return Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=(10.0 + 20.0 * number, 20.0, 0.0))
+
+
+def line_of(number: int) -> ScannedLine:
+    x = 10.0 + 20.0 * number
+    return ScannedLine(
+        look=number,
+        joints_rad=(0.0,) * 6,
+        view_mm=(x, 20.0, 300.0),
+        points_mm=tuple((x, float(y), 0.0) for y in range(8, 33, 4)),
+        covariances_mm2=((0.01, 0.0, 0.0, 0.01, 0.0, 0.01),) * 7,
+    )
+
+
+@pytest.fixture
+def scan(monkeypatch: pytest.MonkeyPatch) -> Scan:
+    return Scan(monkeypatch)
+
+
+@pytest.mark.parametrize("stop", range(LOOKS))
+def test_a_scan_interrupted_at_any_look_keeps_those_before_and_takes_the_rest(scan: Scan, stop: int) -> None:
+    scan.stops_at = stop
+    with pytest.raises(Interrupted):
+        scan.take()
+    before = list(scan.taken)
+    scan.stops_at = LOOKS
+    looks = scan.take()
+    assert before == list(range(stop))
+    again = [DARK] if stop > DARK else []  # it showed no line: the projector may have been off
+    assert scan.taken[stop:] == sorted([*again, *range(stop, LOOKS)])
+    assert sorted(one.number for one in looks) == list(range(LOOKS))
+    assert looks[0].lines == (line_of(0),)
+
+
+def test_looks_of_another_path_check_are_not_kept(scan: Scan) -> None:
+    """After anything moved, the room is localized and the paths are checked again, under another name."""
+    scan.stops_at = 3
+    with pytest.raises(Interrupted):
+        scan.take()
+    scan.taken, scan.stops_at, scan.paths = [], LOOKS, "14-path_check"
+    scan.take()
+    assert scan.taken == list(range(LOOKS))
+
+
+def test_a_whole_scan_that_is_repeated_takes_every_look_again(scan: Scan) -> None:
+    scan.take()
+    scan.cell.record_scanned_look(scan.paths, None)
+    scan.taken = []
+    scan.take()
+    assert scan.taken == list(range(LOOKS))
+
+
+def test_progress_grows_and_goes_on_where_a_scan_was_interrupted(scan: Scan) -> None:
+    scan.stops_at = 3
+    with pytest.raises(Interrupted):
+        scan.take()
+    scan.stops_at, interrupted_at = LOOKS, scan.states[-1]
+    scan.take()
+    done = [one.looks_done for one in scan.states]
+    assert done == [0, 1, 2, 3, 2, 3, 4, 5]
+    assert interrupted_at.covered_share == scan.states[4].covered_share
+    covered = [one.covered_share for one in scan.states[4:]]
+    assert covered == sorted(covered)
+    assert 0.0 < covered[0] < covered[-1]
+    assert scan.states[-1].predicted_error_mm is None  # a plane allows any pose along it
+
+
+def test_kept_looks_are_lines_of_the_journal() -> None:
+    cell = Cell()
+    cell.record_scanned_look("09-path_check", {"number": 0})
+    assert [line["entry"] for line in cell.journal] == [Entry.SCANNED]
