@@ -159,7 +159,7 @@ def name_fewest(compared: Sequence[Fiducials]) -> str:
 def _pose_by(skin: Surface) -> ExpectedPose:
     scanned = mark_scannable(skin)
     points, normals = skin.points_mm[scanned], skin.normals[scanned]
-    rows, _ = thin_points(points)
+    rows = thin_points(points)
     return ExpectedPose.of(points[rows], normals[rows])
 
 

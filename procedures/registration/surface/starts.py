@@ -102,7 +102,7 @@ def pair_spheres(
     covariance = np.eye(3) * sizes_mm[:, None, None] ** 2
     image = np.vstack([landmarks_ct_mm, spheres_ct_mm])
     found: list[tuple[float, tuple[int, ...], Registration]] = []
-    for rows in product(*near):
+    for rows in product(*(one.tolist() for one in near)):
         if len(set(rows)) == count:
             fit = register(image, np.vstack([landmarks_mm, seen_mm[list(rows)]]), covariance_mm2=covariance)
             square = float(np.sum((fit.residuals_mm / sizes_mm[:, None]) ** 2))
