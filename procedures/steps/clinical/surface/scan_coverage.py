@@ -50,7 +50,7 @@ class ScanCoverage:
         if not self._covered.any():
             return None
         places, normals = self._places[self._covered], self._normals[self._covered]
-        rows, _ = thin_points(places, PLANNED_POINTS)
+        rows = thin_points(places, PLANNED_POINTS)
         try:
             expected = expect_error(places[rows], normals[rows], self._targets)
         except RonnaError as problem:
