@@ -24,7 +24,7 @@ from procedures.registration.surface.settling import NEAR_MM, Pose, Settled
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import thin_points
 from ronna_hw.arrays import Array, Mask
-from ronna_hw.frames import Transform
+from ronna_hw.frames import Frame, Transform
 
 COMMON_MM = 8.0  # from a point of the second scan to those of the first
 LEAST_COMMON = 30  # points: five for each unknown of a movement
@@ -43,6 +43,15 @@ class ScanComparison:
     centre_ct_mm: Array
     robot_from_ct: Transform
     mixture: PoseMixture = field(repr=False)
+
+    @property
+    def moved_robot_from_ct(self) -> Transform:
+        """Pose robot <- CT of the head as the second scan found it."""
+        matrix = self.robot_from_ct.inverse().as_matrix()
+        pose = Pose(matrix[:3, :3], matrix[:3, 3]).moved(self.mixture.mean, self.centre_ct_mm)
+        moved = np.eye(4)
+        moved[:3, :3], moved[:3, 3] = pose.rotation, pose.translation_mm
+        return Transform.from_matrix(Frame.CT, Frame.ROBOT, moved).inverse()
 
     def movement_at(self, target_ct_mm: ArrayLike) -> tuple[Array, SurfacePrediction]:
         """Return how far a target moved, (3,) mm in the robot frame, and its error. Raises REG-001."""

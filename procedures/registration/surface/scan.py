@@ -91,6 +91,18 @@ class SurfaceScan:
         columns = {one.name: [getattr(part, one.name) for part in parts] for one in fields(cls)}
         return cls(**{name: np.concatenate(arrays) for name, arrays in columns.items()})
 
+    def moved(self, motion: Transform) -> Self:
+        """Return the scan as it would have been of a head that has moved, in the same frame."""
+        turn = motion.rotation_matrix
+        turned = turn @ self.covariance_mm2 @ turn.T
+        return type(self)(
+            points_mm=motion.apply(self.points_mm),
+            covariance_mm2=0.5 * (turned + turned.transpose(0, 2, 1)),
+            look=self.look,
+            line=self.line,
+            view_mm=motion.apply(self.view_mm),
+        )
+
     def select(self, rows: ArrayLike) -> Self:
         """Return the scan of these rows only, given by number or by a mask (n,)."""
         chosen = np.asarray(rows)
