@@ -42,6 +42,7 @@ MOST_CARRIED_MM, MOST_CARRIED_RAD = 30.0, math.radians(10.0)
 MOST_SLIPPED_MM = 2.0
 LARGEST_LIMIT_MM = 1.0  # of that movement at 95 %: more looks would say more
 TURN_SD_RAD, PLACE_SD_MM = math.radians(0.5), 1.0  # of a frame on the clamp, at the head (U)
+LOOK_MM = 0.1  # per axis, of a look by a calibrated arm (U)
 CARRYING = "head carried by its clamp"  # source of error
 
 
@@ -162,7 +163,7 @@ def correct_carried(
     Raises SRF-035 if the scan contradicts the carried pose, or does not say enough.
     """
     try:
-        found = compare_scans(carried.scan, seen, skin, carried.robot_from_ct)
+        found = compare_scans(carried.scan, seen, skin, carried.robot_from_ct, LOOK_MM)
     except RonnaError as problem:
         if problem.code != SCANS_APART.code:
             raise
