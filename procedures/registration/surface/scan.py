@@ -92,7 +92,7 @@ class SurfaceScan:
         return cls(**{name: np.concatenate(arrays) for name, arrays in columns.items()})
 
     def placed(self, pose: Transform) -> Self:
-        """Return the scan in another frame."""
+        """Return the scan in another frame, or of a head that has moved."""
         turn = pose.rotation_matrix
         turned = turn @ self.covariance_mm2 @ turn.T
         return replace(

@@ -348,6 +348,11 @@ class RegisteredBySurface(RegisteredRobot, kind="surface_registration"):
     misfit_length_mm: float = Field(description="Length over which the misfit is alike.")
     side_proven: bool = Field(description="Whether the mirror image fits clearly worse.")
     changed: tuple[SkinRegion, ...] = Field(default=(), description="Regions that have probably moved.")
+    carried: bool = Field(
+        default=False,
+        description="Whether a former registration was carried by the frame on the clamp, and corrected by a "
+        "few looks: what is said of the scan is of the former one.",
+    )
 
     @property
     def can_follow(self) -> bool:
