@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from procedures.registration.surface.misfit import PoseMixture
 from procedures.registration.surface.regions import HeadAxes
+from procedures.registration.surface.settling import Settled
 from ronna_hw.arrays import Array, Mask
 
 SIDE_SHARES = (0.2, 1.0 / 3.0, 0.45)  # of the scan, as when the head lay on one side
@@ -30,7 +31,7 @@ LEAST_CHANGE_MM = (
 class ChangedSkin:
     """Skin that is probably not where the CT shows it: its parts by name, its points in the scan.
 
-    `shift_mm` is the way outwards of the region that most likely moved.
+    `shift_mm` is their mean distance from the skin in the CT, outwards.
     """
 
     parts: tuple[str, ...]
@@ -38,18 +39,19 @@ class ChangedSkin:
     points: Mask
 
     @classmethod
-    def of(cls, mixture: PoseMixture, regions: Mask, places_mm: Array, axes: HeadAxes) -> Self | None:
-        """Read from an adjustment which of its points (n, 3) have moved; it had `regions` (n, g)."""
+    def of(
+        cls, mixture: PoseMixture, regions: Mask, settled: Settled, used: Mask, axes: HeadAxes
+    ) -> Self | None:
+        """Read from an adjustment of some points which of them have moved; it had `regions` (n, g)."""
         count = regions.shape[1] + 1
         ways_mm = np.bincount(mixture.region, mixture.weights * mixture.moved_mm, count)[1:]
         shift_mm = regions @ ways_mm
-        moved = np.abs(shift_mm) > LEAST_CHANGE_MM
+        moved = np.zeros(len(used), dtype=bool)
+        moved[used] = np.abs(shift_mm) > LEAST_CHANGE_MM
         if not moved.any():
             return None
-        likeliest = int(np.bincount(mixture.region, mixture.weights, count)[1:].argmax())
-        rows = mixture.region == likeliest + 1
-        shift = float(np.average(mixture.moved_mm[rows], weights=mixture.weights[rows]))
-        return cls(tuple(sorted(set(axes.name_parts(places_mm[moved]).tolist()))), shift, moved)
+        parts = tuple(sorted(set(axes.name_parts(settled.places_mm[moved]).tolist())))
+        return cls(parts, float(settled.distances_mm[moved].mean()), moved)
 
 
 def list_regions(places_mm: Array, axes: HeadAxes) -> Mask:

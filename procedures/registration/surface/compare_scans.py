@@ -98,7 +98,7 @@ def compare_scans(
     model = MisfitModel.of(thin.points_mm[used], own_noise[used], shared_mm[used], ALIKE)
     adjustment = Adjustment.of(model, difference.jacobian(centre)[used], regions)
     mixture = adjustment.step(difference.distances_mm[used])
-    changed = ChangedSkin.of(mixture, regions, places, axes)
+    changed = ChangedSkin.of(mixture, regions, difference, used, axes)
     return ScanComparison(changed, common, centre, robot_from_ct, mixture.likely())
 
 

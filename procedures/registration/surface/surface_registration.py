@@ -268,11 +268,7 @@ class _Adjusted:
             if np.abs(mean).max() < STILL:
                 break
             found = Settled.at(found.pose.moved(mean, centre), merged.points_mm, merged.view_mm, surface)
-        changed = ChangedSkin.of(mixture, regions, found.places_mm[used], axes)
-        if changed is not None:
-            marked = np.zeros(len(used), dtype=bool)
-            marked[used] = changed.points
-            changed = replace(changed, points=marked)
+        changed = ChangedSkin.of(mixture, regions, found, used, axes)
         likely = mixture.likely()
         return cls(
             found,
