@@ -130,11 +130,10 @@ def is_side_proven(
     across = np.array([2.0 * axes.middle_mm[0], 0.0, 0.0])
     mirrored = Pose(flip @ found.pose.rotation @ flip, flip @ found.pose.translation_mm + across)
     other = settle(mirrored, points_mm @ flip, view_mm @ flip, surface, used)
-    here, there = found.capped_mm2, other.capped_mm2
-    # A place that is no surface in the CT, such as a thin ear, must not decide alone.
-    both = used & found.valid & other.valid
-    worse = found.capped_mean_mm2(both) > other.capped_mean_mm2(both)
-    if worse and here > there + CLEARLY_MIRRORED_MM2:
+    # A place that is no surface in one of both, such as a thin ear, says nothing, and few points must not decide.
+    both = found.valid & other.valid
+    here, there = found.capped_mean_mm2(both), other.capped_mean_mm2(both)
+    if here > there + CLEARLY_MIRRORED_MM2:
         got = f"{there**0.5:.2f} mm rms, else {here**0.5:.2f} mm"
         raise MIRRORED_HEAD("left and right of the CT are exchanged", got=got)
     return there > here + CLEARLY_MIRRORED_MM2

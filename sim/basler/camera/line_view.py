@@ -15,7 +15,7 @@ from sim.world.head_surface.ellipsoidal_head import EllipsoidalHead
 from sim.world.head_surface.regions import hair_mm, hidden_by_hair
 from sim.world.rigid import Matrix, apply, as_point, inverse, matrix_of
 from sim.world.scene.model import CameraTruth, Scene
-from sim.world.scene.skin import head_with_face, skin_in_theatre
+from sim.world.scene.skin import head_in_theatre, skin_in_theatre
 
 HAND_RADIUS_MM = 12.0  # of a finger's end
 HAND_BESIDE_MM = 8.0  # of the line's middle: it takes half of what the cameras see
@@ -32,7 +32,7 @@ class LineView:
         head = scene.head
         self._robot_from_ct = matrix_of(head.robot_from_ct)
         self._skin = Body(skin_in_theatre(head), SKIN)
-        faced = head_with_face(head)
+        faced = head_in_theatre(head)
         self._hair = None if faced is None else Hair(partial(hidden_by_hair, faced), partial(hair_mm, faced))
         if (
             self._projector is not None

@@ -48,6 +48,12 @@ class CtGrid:
         """Slice positions in mm."""
         return _positions(self.origin_mm[2], self.slice_mm, self.slices)
 
+    def without_lowest(self, slices: int) -> CtGrid:
+        """Return the grid without so many slices from the feet on."""
+        x, y, z = self.origin_mm
+        z = round(z + slices * self.slice_mm, ORIGIN_DIGITS)
+        return replace(self, origin_mm=(x, y, z), slices=self.slices - slices)
+
     def indices(self, axis: int, low_mm: float, high_mm: float) -> slice:
         """Return the indices of voxels along `axis` (0, 1, 2) with centres between two coordinates."""
         spacing = self.slice_mm if axis == 2 else self.pixel_mm
