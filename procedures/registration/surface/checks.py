@@ -130,7 +130,7 @@ def is_side_proven(
     across = np.array([2.0 * axes.middle_mm[0], 0.0, 0.0])
     mirrored = Pose(flip @ found.pose.rotation @ flip, flip @ found.pose.translation_mm + across)
     other = settle(mirrored, points_mm @ flip, view_mm @ flip, surface, used)
-    # A place that is no surface in one of both, such as a thin ear, says nothing, and few points must not decide.
+    # A place that is no surface in one of both, such as a thin ear, says nothing; few points must not decide.
     both = found.valid & other.valid
     here, there = found.capped_mean_mm2(both), other.capped_mean_mm2(both)
     if here > there + CLEARLY_MIRRORED_MM2:

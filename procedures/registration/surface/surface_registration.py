@@ -33,13 +33,14 @@ from procedures.registration.surface.checks import (
     weigh_regions,
 )
 from procedures.registration.surface.evidence import SCOUTS
+from procedures.registration.surface.global_search import find_pose
 from procedures.registration.surface.misfit import MISFITS, Misfit, MisfitModel, PoseMixture
 from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
 from procedures.registration.surface.shared_errors import ErrorColumns, Sources, at_target
-from procedures.registration.surface.starts import Start, find_pose, pose_of
+from procedures.registration.surface.starts import Start, pose_of
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import thin_points
 from ronna_hw.arrays import Array, Mask
