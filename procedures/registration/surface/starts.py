@@ -11,6 +11,7 @@ from procedures.registration.points import validate_pairs
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.surface.errors import BAD_SURFACE_INPUT
 from procedures.registration.surface.settling import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 
 LANDMARK_SD_MM = 3.0  # of a landmark found with a pointer on skin, each axis (U)
@@ -18,11 +19,15 @@ LANDMARK_SD_MM = 3.0  # of a landmark found with a pointer on skin, each axis (U
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Approximate pose robot <- CT, with standard deviations of its turn and of its place at the head."""
+    """Approximate pose robot <- CT, with standard deviations of its turn and of its place at the head.
+
+    `landmarks_ct_mm` (n, 3) are those that it was fitted to, if any; `place_mm` is then theirs, per axis.
+    """
 
     robot_from_ct: Transform
     turn_rad: float
     place_mm: float
+    landmarks_ct_mm: Array | None = None
 
     def __post_init__(self) -> None:
         if not (
@@ -39,7 +44,7 @@ class Start:
         matrix[:3, :3], matrix[:3, 3] = fit.rotation, fit.translation_mm
         spread_mm = float(np.linalg.svd(image - image.mean(axis=0), compute_uv=False)[1])
         pose = Transform.from_matrix(Frame.ROBOT, Frame.CT, matrix)
-        return cls(pose, sd_mm / spread_mm, sd_mm)
+        return cls(pose, sd_mm / spread_mm, sd_mm, image)
 
 
 def pose_of(start: Start) -> Pose:

@@ -96,7 +96,8 @@ class SurfaceStart(Correspondence, kind="surface_start"):
     @property
     def start(self) -> Start:
         """The pose with its error."""
-        return Start(self.robot_from_ct.transform, self.turn_sd_rad, self.place_sd_mm)
+        touched = np.array([one.in_ct_mm for one in self.landmarks])
+        return Start(self.robot_from_ct.transform, self.turn_sd_rad, self.place_sd_mm, touched)
 
 
 def run(context: StepContext) -> Outcome[Correspondence]:
