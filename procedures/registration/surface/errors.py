@@ -1,4 +1,4 @@
-"""Errors in the registration of surfaces, SRF-001 to SRF-034."""
+"""Errors in the registration of surfaces, SRF-001 to SRF-037."""
 
 from __future__ import annotations
 
@@ -140,4 +140,11 @@ ARM_NOT_CALIBRATED = ErrorCode(
     RefusedError,
     "The arm has no calibration record: seen from many sides, the skin would look like another head.",
     "Calibrate the arm and name its record in the theatre file, or register by markers.",
+)
+
+HALF_A_HEAD = ErrorCode(
+    "SRF-037",
+    RefusedError,
+    "The CT ends above the nose and the ears: too little skin to scan is in it.",
+    "Import a CT from the vertex to below the nose, or register by markers.",
 )
