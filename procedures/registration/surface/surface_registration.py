@@ -7,7 +7,7 @@ the sharpness of the fit alone, which counts neighbouring points as if they were
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
+from procedures.registration.surface.bare_bone import open_where_bare
 from procedures.registration.surface.checks import (
     CHANGED_MM,
     ChangedSkin,
@@ -109,8 +110,11 @@ def register_surface(
     targets_ct_mm: ArrayLike | None = None,
     arm: Sources = (),
     limits: SurfaceLimits | None = None,
+    find_bone: Callable[[], Surface] | None = None,
 ) -> SurfaceRegistration:
     """Register a scan to a surface; without a start the pose is searched by the scan alone.
+
+    `find_bone` returns the skull, for the part of the scan that lies on it because the scalp is open.
 
     `arm` are errors that the points share, as displacements in the robot frame, with a row for each look (in
     the order of their numbers) or for each point. Without targets the middle of the head stands for them.
@@ -124,7 +128,7 @@ def register_surface(
     columns = ErrorColumns.of(arm, scan, rows)
     if len(thin) < FEWEST_POINTS:
         require_coverage(0.0, len(thin), limits)
-    found = _settle(thin, surface, start, limits)
+    found, surface = _settle(thin, surface, start, limits, find_bone)
     used = ~mark_other_bodies(found)
     side_proven = is_side_proven(found, used, thin.points_mm, thin.view_mm, surface, axes)
     used, changed, doubted = _judge_skin(found, used, thin, columns, axes, limits)
@@ -154,8 +158,14 @@ def register_surface(
     return registration
 
 
-def _settle(thin: SurfaceScan, surface: Surface, start: Start | None, limits: SurfaceLimits) -> Settled:
-    """Settle the scan on the surface. Raises SRF-002, 004, 005, 010.
+def _settle(
+    thin: SurfaceScan,
+    surface: Surface,
+    start: Start | None,
+    limits: SurfaceLimits,
+    find_bone: Callable[[], Surface] | None,
+) -> tuple[Settled, Surface]:
+    """Settle the scan on the surface, which bare bone may be a part of. Raises SRF-002, 004, 005, 010.
 
     A start from which it does not settle is not trusted: the search then says whether it was wrong.
     """
@@ -163,10 +173,12 @@ def _settle(thin: SurfaceScan, surface: Surface, start: Start | None, limits: Su
     found = None if start is None else settle(pose_of(start), points, view, surface)
     if found is None or found.sigma_mm > same_head_mm:
         found = settle(find_pose(points, view, surface, same_head_mm).pose, points, view, surface)
+    if find_bone is not None:
+        found, surface = open_where_bare(found, points, view, surface, find_bone)
     require_same_head(found, limits)
     is_other = mark_other_bodies(found)
     require_skin(is_other, limits)
-    return settle(found.pose, points, view, surface, ~is_other)
+    return settle(found.pose, points, view, surface, ~is_other), surface
 
 
 def _judge_skin(

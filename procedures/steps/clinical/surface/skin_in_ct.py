@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.imaging.ct_surface import CtSurface, find_skin
+from procedures.imaging.ct_surface import CtSurface, find_bone, find_skin
 from procedures.planning.faced_head import fit_cranium_and_face
 from procedures.registration.surface.errors import (
     ARM_NOT_CALIBRATED,
@@ -83,6 +83,11 @@ def skin_of(context: StepContext) -> CtSurface:
         skin = find_skin(volume_of(context))
         memory.keep(skin)
     return skin
+
+
+def bone_of(context: StepContext) -> CtSurface:
+    """Return the skull of the imported CT. Raises CT-028 and as `volume_of`."""
+    return find_bone(volume_of(context))
 
 
 STEP = StepSpec(

@@ -39,7 +39,7 @@ from procedures.steps.clinical.results import (
     SkinRegion,
 )
 from procedures.steps.clinical.room import ROOM_READS
-from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surface.skin_in_ct import bone_of, skin_of
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
@@ -109,6 +109,7 @@ def _register(context: StepContext, scanned: ScannedSurface) -> SurfaceRegistrat
         context.result(SurfaceStart).start,
         targets_ct_mm=np.array(targets),
         arm=(*error_budget.errors_at_looks(context, looks, places_mm), _head_errors(context, looks)),
+        find_bone=lambda: bone_of(context),
     )
 
 
