@@ -70,7 +70,8 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     planned = [plan.trajectory(name) for name in context.served_trajectories]
     predictions = tuple(_predict(context, scanned, found, one) for one in planned)
     left_out = exclude_beyond_margin(context, plan, predictions)
-    _accept(context, plan, found, predictions, left_out)
+    side_proven = found.side_proven or context.result(SurfaceStart).site is not None
+    _accept(context, plan, found, predictions, left_out, side_proven=side_proven)
     kept = found.residuals_mm[~found.excluded]
     worst = max(predictions, key=lambda one: one.rms_mm)
     changed = tuple(map(SkinRegion.of, found.changed))
@@ -89,7 +90,7 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
             coverage=found.coverage,
             misfit_mm=found.misfit_mm,
             misfit_length_mm=found.misfit_length_mm,
-            side_proven=found.side_proven,
+            side_proven=side_proven,
             changed=changed,
             doubted=tuple(map(SkinRegion.of, found.doubted)),
         ),
@@ -171,9 +172,11 @@ def _accept(
     found: SurfaceRegistration,
     predictions: tuple[Prediction, ...],
     left_out: Mapping[str, str],
+    *,
+    side_proven: bool,
 ) -> None:
     """Have the operator accept the registration for each target. Raises PRO-002."""
-    if not found.side_proven:
+    if not side_proven:
         context.find(LEFT_AND_RIGHT)
         context.require_yes(
             Question(
