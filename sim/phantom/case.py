@@ -34,8 +34,8 @@ from sim.phantom.scanner.dicom_series import (
     DicomSeries,
     to_stored_values,
 )
-from sim.phantom.scanner.grid import CtGrid
-from sim.world.rigid import Point, apply
+from sim.phantom.scanner.grid import CtGrid, shown_mm
+from sim.world.rigid import apply
 from sim.world.scene.model import Scene
 from sim.world.scene.plan_feasibility import STANDOFF_MM
 
@@ -201,8 +201,8 @@ def plan_toml(scan: Scan, series_instance_uid: str, patient_position: str = PATI
         "trajectories": [
             {
                 "id": target.identifier,
-                "entry_mm": shown_mm(scan, target.entry_ct_mm),
-                "target_mm": shown_mm(scan, target.target_ct_mm),
+                "entry_mm": shown_mm(scene, target.entry_ct_mm),
+                "target_mm": shown_mm(scene, target.target_ct_mm),
                 "free_angle_deg": target.free_angle_deg,
                 "margin_mm": target.margin_mm,
             }
@@ -210,13 +210,6 @@ def plan_toml(scan: Scan, series_instance_uid: str, patient_position: str = PATI
         ],
     }
     return tomli_w.dumps(content)
-
-
-def shown_mm(scan: Scan, place_mm: Point) -> list[float]:
-    """Return where the series shows a place, mirrored about the middle of the field if the scene says so."""
-    x, y, z = place_mm
-    field_mm = scan.grid.x_mm[0] + scan.grid.x_mm[-1]
-    return [float(field_mm) - x if scan.scene.ct.mirrored else x, y, z]
 
 
 def _plan_markers(scan: Scan) -> dict[str, Any]:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.errors import BAD_SCENE
-from sim.world.rigid import Vector
-from sim.world.scene.model import CtProtocol, Head
+from sim.world.rigid import Point, Vector
+from sim.world.scene.model import CtProtocol, Head, Scene
 from sim.world.scene.skin import head_extent
 
 MARKER_ROOM_MM = 14.0  # around a sphere's centre: the sphere, its blur, and air for contrast
@@ -86,6 +86,18 @@ def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
     lowest, highest = head_extent(head)
     middle = 0.5 * (np.minimum(low, lowest) + np.maximum(high, highest))
     return centre_grid(np.clip(middle, high - field / 2, low + field / 2), protocol)
+
+
+def shown_mm(scene: Scene, place_mm: Point) -> list[float]:
+    """Return where a scene's series shows a place of the head, and the reverse.
+
+    A mirrored series shows it on the other side of the middle of the field.
+    """
+    x, y, z = place_mm
+    if scene.ct.mirrored:
+        across_mm = place_grid(scene.head, scene.ct).x_mm
+        x = float(across_mm[0] + across_mm[-1]) - x
+    return [x, y, z]
 
 
 def centre_grid(middle_mm: Vector, protocol: CtProtocol) -> CtGrid:
