@@ -19,7 +19,7 @@ from sim.world.head_surface.regions import hair_mm, hidden_by_hair
 from sim.world.head_surface.surface import HeadSurface
 from sim.world.rigid import Matrix, Vectors, apply, as_point, inverse, matrix_of
 from sim.world.scene.model import CameraTruth, Scene
-from sim.world.scene.skin import head_in_theatre, skin_in_theatre
+from sim.world.scene.skin import head_in_theatre, prepare_skin, skin_in_theatre
 
 HAND_RADIUS_MM = 12.0  # of a finger's end
 HAND_BESIDE_MM = 8.0  # of the line's middle: it takes half of what the cameras see
@@ -41,15 +41,10 @@ class LineView:
         if faced is not None:
             hides = partial(is_under_hair, faced, self._skin.surface)
             self._hair = Hair(hides, partial(hair_mm, faced))
-        if (
-            self._projector is not None
-        ):  # the surface is sampled now, not while a camera waits for its picture
-            middle = np.array([head.centre_ct_mm])
-            self._skin.surface.cast(
-                middle + np.array([0.0, 0.0, FURTHEST_MM]), np.array([[0.0, 0.0, -1.0]]), FURTHEST_MM
-            )
+        if self._projector is not None:
+            prepare_skin(head)
             if faced is not None:
-                hidden_by_hair(faced, middle)
+                hidden_by_hair(faced, np.array([head.centre_ct_mm]))
 
     def runs(
         self,

@@ -52,6 +52,12 @@ def skin_in_theatre(head: Head) -> HeadSurface:
     return skin if head.bare_bone is None else HeadWithBareBone(skin, SkullSurface(faced), head.bare_bone)
 
 
+def prepare_skin(head: Head) -> None:
+    """Sample the skin in the theatre now, so that neither a picture nor a touching hand waits for it."""
+    middle = np.array([head.centre_ct_mm])
+    skin_in_theatre(head).cast(middle + np.array([0.0, 0.0, FAR_MM]), np.array([[0.0, 0.0, -1.0]]), FAR_MM)
+
+
 def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
     """Return the skin's outermost point in a direction from the centre, CT frame, and its outward normal."""
     skin, centre = skin_in_ct(head), np.array(head.centre_ct_mm)
