@@ -32,9 +32,6 @@ from ronna_hw.arrays import Array, Mask
 COVERED_MM = 10.0  # a sample this near to a scanned point is covered
 CLEARLY_MIRRORED_MM2 = 0.1  # between the mean squares of the two sides: a third of a millimetre
 START_SIGMAS = 4.0
-# Square of the distance of a pose from its landmarks, in their standard deviations: 1 in 100 of six unknowns.
-# Safety against another head, or an arm that errs, which a pose far off fits best. Source: chi-squared.
-LARGEST_LANDMARK_SQUARE = 16.8
 MOVED_TURN_RAD, MOVED_MM = np.radians(1.0), 2.0  # of a head or cart that moved between looks (U)
 MOST_SPLITS = 12  # moments of a movement that are tried: the next one is near enough
 MOVED_EVIDENCE = 8.0  # log Bayes factor: one in three thousand, several movements tried
@@ -48,6 +45,9 @@ CHANGED_RADII_MM = (15.0, 30.0)
 FEWEST_IN_GROUP = 6
 SIDES = 24  # axes along which the sides are taken
 DIRECTIONS = ("left to right", "front to back", "head to feet")  # the axes of the CT
+# Square of the distance of a pose from its landmarks, in their standard deviations: 1 in 100 of six unknowns.
+# Safety against another head, or an arm that errs, which a pose far off fits best. Source: chi-squared.
+LARGEST_LANDMARK_SQUARE = 16.8
 
 
 @dataclass(frozen=True)

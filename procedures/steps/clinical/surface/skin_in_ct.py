@@ -20,10 +20,10 @@ from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinIn
 from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.devices.sensors import line_projector
 
+LEAST_TOLD = 0.01  # of the boundary, for a part that is not used to be told of
 # Depth of the skin below the vertex, scaled to a usual head.
 # Safety against a CT without nose and ears, which alone show a turn. Source: usual proportions, their base.
 LEAST_DEPTH_MM = CHEEKS_MM
-LEAST_TOLD = 0.01  # of the boundary, for a part that is not used to be told of
 
 
 def run(context: StepContext) -> Outcome[SkinInCt]:

@@ -34,10 +34,10 @@ from ronna_hw.vectors import vector3
 
 TOUCHED = ("tip of the nose", "left ear", "right ear")
 LANDMARK_SD_MM = 4.0  # per axis, of a landmark touched on skin and found in the CT (U)
+LEAST_ASIDE_MM = 15.0  # of an entry from the middle: its mirror image is then 30 mm away
 # Of the touched places from the same three of the CT, rms.
 # Safety against a mistyped reading, and against another patient. Source: four times the landmarks' own error.
 MOST_APART_MM = 4.0 * LANDMARK_SD_MM
-LEAST_ASIDE_MM = 15.0  # of an entry from the middle: its mirror image is then 30 mm away
 # Of the touched mark from the entry of the plan.
 # Safety against a mistyped reading, and another patient. Source: an entry is chosen anew near its mark (U).
 READ_MM = 40.0
