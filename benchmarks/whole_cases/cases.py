@@ -7,6 +7,7 @@ import resource
 import shutil
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,15 @@ import tomli_w
 
 from benchmarks.whole_cases.conditions import Condition
 from ronna_hw import load_run
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.host.child_process import ChildNotReady, command, run_command
 from ronna_hw.software import identify_software
-from sim.world.scene.model import SEATING_ERROR_MM
+from sim.world.head_surface.bare_bone import BareBone
+from sim.world.head_surface.skin_shift import SkinShift
+from sim.world.rigid import as_point
+from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import draw_scene
+from sim.world.scene.skin import skin_point
 
 Attempt = dict[str, Any]
 
@@ -26,6 +32,7 @@ CASE_LIMIT_S = 7200.0  # of host time: these cases leave the processor to everyt
 MOST_ATTEMPTS = 4
 FINISHED = ("done", "in doubt", "missed")  # outcomes of a case whose steps were all done
 CASES_FILE = "cases.jsonl"
+FOREHEAD = np.array([0.0, -0.85, 0.5])  # from the middle of the head, above the brows
 DIGITS = 4
 
 
@@ -89,17 +96,28 @@ def _run_case(folder: Path, condition: Condition, seed: int) -> Attempt:
 
 
 def _scene_options(folder: Path, condition: Condition, seed: int) -> list[str]:
-    """Return the options for the default scene, from a file if its spheres are refitted otherwise."""
-    if condition.seating_mm == SEATING_ERROR_MM:
+    """Return the options for the default scene, from a file if there is no option for what differs."""
+    usual = replace(condition, group="", strategy="", options=(), arm=ArmChoice.KR6)
+    if usual == Condition("", ""):
         return ["--arm", condition.arm.value, "--seed", str(seed)]
-    drawn = draw_scene("default", seed=seed, arm=condition.arm)
-    head = drawn.head.model_copy(update={"seating_error_mm": condition.seating_mm})
-    changed = drawn.model_copy(update={"head": head}).model_dump(
-        mode="json", by_alias=True, exclude_none=True
-    )
+    targets = condition.targets
+    drawn = draw_scene("default", seed=seed, arm=condition.arm, fiducials=condition.carrier, targets=targets)
+    changed = _change(drawn, condition).model_dump(mode="json", by_alias=True, exclude_none=True)
     path = folder / "scene.toml"
     path.write_text(tomli_w.dumps(changed), encoding="utf-8")
     return ["--scene", str(path)]
+
+
+def _change(scene: Scene, condition: Condition) -> Scene:
+    """Return the scene with its spheres refitted otherwise, its skin unmoved, or its bone bare."""
+    head = scene.head.model_copy(update={"seating_error_mm": condition.seating_mm})
+    if condition.is_rigid:
+        head = head.model_copy(update={"skin_shift": SkinShift()})
+    if condition.bare_bone_mm:
+        middle, _ = skin_point(head, FOREHEAD)
+        opening = BareBone(centre_ct_mm=as_point(middle), radius_mm=condition.bare_bone_mm)
+        head = head.model_copy(update={"bare_bone": opening})
+    return scene.model_copy(update={"head": head})
 
 
 def _read_targets(runs: Path) -> Attempt:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from benchmarks.whole_cases.block import TARGETS
 from procedures.strategies.catalogue import STRATEGIES
 from ronna_hw.arm.catalogue import ArmChoice
+from sim.world.options import Carrier
 from sim.world.scene.model import SEATING_ERROR_MM
 
 COMPARED_WITH = "ocs"  # the default strategy
@@ -28,6 +30,10 @@ class Condition:
     options: tuple[str, ...] = ()
     arm: ArmChoice = ArmChoice.KR6
     seating_mm: float = SEATING_ERROR_MM
+    carrier: Carrier = Carrier.FREE
+    targets: int = TARGETS
+    is_rigid: bool = False  # a phantom, whose skin has not moved
+    bare_bone_mm: float = 0.0  # radius over which the forehead's bone is bare; 0: nowhere
 
     @property
     def name(self) -> str:
@@ -38,7 +44,14 @@ def list_conditions() -> tuple[Condition, ...]:
     """Return all conditions in the order in which they are run."""
     usual = tuple(_every_strategy("uncalibrated", ())) + tuple(_every_strategy("calibrated", CALIBRATED))
     coarse = tuple(replace(one, group=f"seating_{one.group}", seating_mm=SET_S_SEATING_MM) for one in usual)
-    return (*usual, *_with_and_without("x_frame", ("--fiducials", "xframe")), *_thesis(), *_others(), *coarse)
+    return (
+        *usual,
+        *_on_skin(),
+        *_with_and_without("x_frame", ("--fiducials", "xframe")),
+        *_thesis(),
+        *_others(),
+        *coarse,
+    )
 
 
 def _every_strategy(group: str, options: tuple[str, ...]) -> Iterator[Condition]:
@@ -60,6 +73,13 @@ def _thesis() -> Iterator[Condition]:
     for localizer in THESIS_LOCALIZERS:
         options = ("--localizer", localizer, "--matcher", "thesis")
         yield from _with_and_without(localizer.replace("-", "_"), options)
+
+
+def _on_skin() -> Iterator[Condition]:
+    """Yield a rigid phantom that is registered on its skin, and one with bare bone besides."""
+    phantom = Condition("skin_phantom", carrier=Carrier.SURFACE, targets=5, is_rigid=True)
+    yield phantom
+    yield replace(phantom, group="bone_phantom", bare_bone_mm=45.0)
 
 
 def _others() -> Iterator[Condition]:

@@ -10,7 +10,7 @@ from scipy.stats import binomtest, wilcoxon
 
 from benchmarks.whole_cases.block import TARGETS
 from benchmarks.whole_cases.cases import FINISHED, Attempt, is_settled
-from benchmarks.whole_cases.conditions import COMPARED_WITH
+from benchmarks.whole_cases.conditions import COMPARED_WITH, list_conditions
 
 CONFIDENCE = 0.95  # of the interval of a coverage
 HEADER = (
@@ -31,7 +31,7 @@ def summarize(attempts: Sequence[Attempt]) -> dict[str, dict[str, Figures]]:
     conditions = _by_condition(attempts)
     for name, own in conditions.items():
         group, strategy = name.split(" ")
-        figures = _measure(own)
+        figures = _measure(own, _targets_of(name))
         other = conditions.get(f"{group} {COMPARED_WITH}")
         if other is not None and strategy != COMPARED_WITH:
             figures["paired"] = _compare(own, other)
@@ -85,14 +85,19 @@ def _by_condition(attempts: Sequence[Attempt]) -> dict[str, dict[int, list[Attem
     }
 
 
-def _measure(cases: Mapping[int, Sequence[Attempt]]) -> Figures:
+def _targets_of(name: str) -> int:
+    """Return the targets of each case of a condition, of the default scene for one that is no more."""
+    return next((one.targets for one in list_conditions() if one.name == name), TARGETS)
+
+
+def _measure(cases: Mapping[int, Sequence[Attempt]], targets: int) -> Figures:
     last = [attempts[-1] for attempts in cases.values()]
     finished = [one for one in last if one["outcome"] in FINISHED]
     figures: Figures = {
         "cases": len(cases),
         "refused": len(last) - len(finished),
         "again": sum(len(own) > 1 and own[-1]["outcome"] in FINISHED for own in cases.values()),
-        "planned": TARGETS * len(cases),
+        "planned": targets * len(cases),
         "reached": sum(len(one["errors_mm"]) for one in finished),
     }
     if not figures["reached"]:

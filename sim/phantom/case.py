@@ -24,6 +24,7 @@ from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.phantom.head.obstacles import ADHESIVE, FREE, SKIN_ONLY, WITH_SKIN, XFRAME
+from sim.phantom.head.shapes import Values
 from sim.phantom.mr_scan import MrScan, ct_from_mr
 from sim.phantom.postoperative_scan import ImagedInstrument, PostoperativeScan
 from sim.phantom.scan import Planes, Scan, plain_scan
@@ -33,7 +34,7 @@ from sim.phantom.scanner.dicom_series import (
     DicomSeries,
     to_stored_values,
 )
-from sim.phantom.scanner.grid import CtGrid
+from sim.phantom.scanner.grid import CtGrid, shown_mm
 from sim.world.rigid import apply
 from sim.world.scene.model import Scene
 from sim.world.scene.plan_feasibility import STANDOFF_MM
@@ -83,14 +84,13 @@ def write_case(
     grid = scan.grid
     series = DicomSeries(scene, grid, folder / SERIES_FOLDER, scan.faults)
     planes = Planes(scan)
+    paint = mirrored(planes.paint) if scene.ct.mirrored else planes.paint
     steps = planes.steps + grid.slices
     with whole_or_removed(series, folder / SERIES_FOLDER):
         with ThreadPoolExecutor(WORKERS) as pool:
             planes.paint_patches(pool, lambda done: progress(done / steps))
         with closing(
-            write_slices(
-                series, grid, lambda number: to_stored_values(planes.paint(number), planes.largest_stored)
-            )
+            write_slices(series, grid, lambda number: to_stored_values(paint(number), planes.largest_stored))
         ) as counts:
             for count in counts:
                 progress((planes.steps + count) / steps)
@@ -98,6 +98,11 @@ def write_case(
     write_atomically(truth, json.dumps(_collect_case_truth(scan, series, planes), indent=1).encode())
     write_atomically(plan, plan_toml(scan, series.series_instance_uid).encode())
     return PhantomCase(folder / SERIES_FOLDER, truth, series.series_instance_uid, grid.slices, plan)
+
+
+def mirrored(paint: Callable[[int], Values]) -> Callable[[int], Values]:
+    """Return the same slices with left and right exchanged."""
+    return lambda number: np.ascontiguousarray(paint(number)[:, ::-1])
 
 
 @contextmanager
@@ -196,8 +201,8 @@ def plan_toml(scan: Scan, series_instance_uid: str, patient_position: str = PATI
         "trajectories": [
             {
                 "id": target.identifier,
-                "entry_mm": list(target.entry_ct_mm),
-                "target_mm": list(target.target_ct_mm),
+                "entry_mm": shown_mm(scene, target.entry_ct_mm),
+                "target_mm": shown_mm(scene, target.target_ct_mm),
                 "free_angle_deg": target.free_angle_deg,
                 "margin_mm": target.margin_mm,
             }

@@ -55,7 +55,8 @@ class Scan:
 
 def plain_scan(scene: Scene) -> Scan:
     """Return the scan of an unmodified scene; raises SIM-001 if it cannot be scanned."""
-    grid, head = place_grid(scene.head, scene.ct), scene.head
+    whole, head = place_grid(scene.head, scene.ct), scene.head
+    grid = whole.without_lowest(scene.ct.missing_slices)
     if not head.x_frame:
         kind = FREE if head.face is None else SKIN_ONLY if not head.fiducials else WITH_SKIN
         return Scan(scene, grid, with_rings(draw_anatomy(scene), scene), kind)

@@ -30,6 +30,7 @@ from sim.world.control_port import ControlledRoom, ControlPort
 from sim.world.options import OTHER_ARMS, ArmRole
 from sim.world.saved_world import SavedWorld, save_world
 from sim.world.scene.model import Scene
+from sim.world.scene.skin import prepare_skin
 from sim.world.truth import SCENE_FILE
 from sim.world.world import World
 
@@ -98,6 +99,8 @@ class LaunchedTheatre:
         self._forked: dict[str, ForkedProcess] = {}
         self._children: list[ChildProcess] = []
         self._control: ControlPort | None = None
+        if scene.projector is not None:
+            prepare_skin(scene.head)  # once, for all of the forks
         try:
             self._fork_devices(parameters, cycle_ms, tracker_endpoint)
             on_forked()

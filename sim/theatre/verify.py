@@ -18,6 +18,7 @@ from ronna_hw.evidence.journal_reading import JOURNAL_FILE, theatre_time_s
 from ronna_hw.records import Record
 from ronna_hw.text import format_count, format_names
 from sim.errors import NOTHING_TO_VERIFY
+from sim.phantom.scanner.grid import shown_mm
 from sim.world.rigid import Matrix, Vector, apply, matrix_of
 from sim.world.scene.model import Scene, parse_scene_json, read_scene
 from sim.world.truth import (
@@ -182,7 +183,9 @@ def _verify_target(
     scene: Scene, trajectory: dict[str, Any], sample: TipSample, registration: Matrix | None
 ) -> dict[str, Any]:
     robot_from_ct = sample.head_moved @ matrix_of(scene.head.robot_from_ct)
-    target, entry = (apply(robot_from_ct, trajectory[end]) for end in ("target_mm", "entry_mm"))
+    target, entry = (
+        apply(robot_from_ct, shown_mm(scene, trajectory[end])) for end in ("target_mm", "entry_mm")
+    )
     tip = np.array(sample.tip_mm)
     planned_axis = (target - entry) / np.linalg.norm(target - entry)
     error = tip - target

@@ -26,6 +26,7 @@ from sim.world.faults.room import (
     PUSH,
     SEAT,
     SHIFT,
+    SLIPPING_HEAD,
     TRACKER,
     TURN,
     UNLOCKED,
@@ -73,6 +74,8 @@ class RoomShift:
     assistant_rad: Point = STILL
     seat_mm: Point = STILL  # of the guide in its seat, along the axes of its calibrated tip
     seat_rad: Point = STILL  # about that tip
+    slip_mm: Point = STILL  # part of the head's displacement that its clamp does not share
+    slip_rad: Point = STILL
     spheres_mm: tuple[tuple[int, Point], ...] = ()
     extra_spheres_mm: tuple[Point, ...] = ()  # at rest in the room, on no head
 
@@ -82,6 +85,11 @@ class RoomShift:
         loose = np.array([alone.get(one, STILL) for one in numbers], dtype=float).reshape(-1, 3)
         places: Array = apply(rigid_move(self.head_rad, self.head_mm), places_mm) + loose
         return places
+
+    def move_of_clamp(self) -> Matrix:
+        """Return the displacement (4, 4) of the head's clamp, in which the head may have slipped."""
+        head = rigid_move(self.head_rad, self.head_mm)
+        return head @ inverse(rigid_move(self.slip_rad, self.slip_mm))
 
 
 NOTHING_MOVED = RoomShift()
@@ -124,11 +132,15 @@ class ShiftedRoom:
         from_cart = inverse(knocked @ cart_pose(moves, now_s, ArmRole.MASTER))
         back = from_cart[:3, :3]
 
-        def displaced(body: str, centre_mm: Matrix) -> Matrix:
+        def moved(body: str, centre_mm: Matrix) -> Matrix:
             turn = rotation_from_vector(np.radians(_sum_arguments(turns, body)))
-            return from_cart @ matrix_from(centre_mm - turn @ centre_mm + _sum_arguments(shifts, body), turn)
+            return matrix_from(centre_mm - turn @ centre_mm + _sum_arguments(shifts, body), turn)
 
-        head = displaced(HEAD, self._head_centre_mm)
+        def displaced(body: str, centre_mm: Matrix) -> Matrix:
+            return from_cart @ moved(body, centre_mm)
+
+        slip = moved(SLIPPING_HEAD, self._head_centre_mm)
+        head = displaced(HEAD, self._head_centre_mm) @ slip
         tracker = displaced(TRACKER, self._tracker_mm)
         base = self._bases.get(ArmRole.ASSISTANT, IDENTITY)
         wheeled = base @ cart_pose(moves, now_s, ArmRole.ASSISTANT) @ inverse(base)
@@ -146,6 +158,8 @@ class ShiftedRoom:
             assistant_rad=as_point(vector_from_rotation(assistant[:3, :3])),
             seat_mm=_sum_arguments(shifts, SEAT),
             seat_rad=as_point(np.radians(_sum_arguments(turns, SEAT))),
+            slip_mm=as_point(slip[:3, 3]),
+            slip_rad=as_point(vector_from_rotation(slip[:3, :3])),
             spheres_mm=tuple(
                 (int(number), as_point(back @ np.array(_sum_arguments(loose, number))))
                 for number in sorted({one.argument for one in loose})

@@ -34,6 +34,7 @@ from ronna_hw.wire.room_tasks import (
     REST_DRILL,
     SCAN,
     SEATED,
+    SITE_MARK,
     SKIN,
     TEST_WEIGHT,
     TOUCH,
@@ -45,7 +46,7 @@ from sim.world.displacements import ShiftedRoom, rigid_move
 from sim.world.faults import FaultBoard, begin_now
 from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP, tool_numbers
 from sim.world.noise import noise
-from sim.world.rigid import Matrix, apply, as_point, inverse, matrix_of, rotation_from_vector
+from sim.world.rigid import Matrix, Vector, apply, as_point, inverse, matrix_of, rotation_from_vector
 from sim.world.scene.skin import find_furthest
 from sim.world.truth import (
     TrueGuide,
@@ -114,7 +115,8 @@ class Staff:
             OUT: self._take_out,
             DIALS: lambda: tuple(read_dials(self._world)),
             GAUGE: lambda: self._read_gauge(numbers),
-            TOUCH: lambda: self._touch(numbers),
+            TOUCH: lambda: self._touch(find_furthest(self._world.scene.head, np.array(numbers)), TOUCH),
+            SITE_MARK: lambda: self._touch(self._find_site(trajectory), SITE_MARK),
         }
         _check_task(task, trajectory, numbers, tasks)
         if task in THROUGH_THE_GUIDE:
@@ -222,13 +224,22 @@ class Staff:
         )
         return tuple(_round_to_scale(float(value), DIAL_MM) for value in read)
 
-    def _touch(self, direction: Sequence[float]) -> Readings:
-        """Return where a pointer touches the given side of the patient's head, in the robot frame."""
+    def _find_site(self, trajectory: str) -> Vector:
+        """Return the entry of a trajectory of the scene, which the surgeon has marked on the patient."""
+        entries = {one.identifier: one.entry_ct_mm for one in self._world.scene.head.targets}
+        if trajectory not in entries:
+            raise TaskRefused(
+                f"no site is marked for {trajectory or 'no trajectory'} on the simulated patient",
+                f"Name one of the scene's: {', '.join(entries)}.",
+            )
+        return np.array(entries[trajectory])
+
+    def _touch(self, skin_ct_mm: Vector, task: str) -> Readings:
+        """Return where a pointer touches the patient's head at a place of the CT, in the robot frame."""
         head, seed = self._world.scene.head, self._world.scene.seed
-        skin_ct = find_furthest(head, np.array(direction, dtype=float))
         room = ShiftedRoom(self._world).now()
-        place = apply(rigid_move(room.head_rad, room.head_mm) @ matrix_of(head.robot_from_ct), skin_ct)
-        place += noise(seed, TOUCH, self._done[f"{TOUCH} "]).normal(0.0, POINTER_MM, 3)
+        place = apply(rigid_move(room.head_rad, room.head_mm) @ matrix_of(head.robot_from_ct), skin_ct_mm)
+        place += noise(seed, task, self._done[f"{task} "]).normal(0.0, POINTER_MM, 3)
         return tuple(_round_to_scale(float(value), 1.0) for value in place)
 
     def _place_of_gauge(self, joints_deg: Sequence[float]) -> Matrix:

@@ -36,6 +36,9 @@ MOST_SPLITS = 12  # moments of a movement that are tried: the next one is near e
 MOVED_EVIDENCE = 8.0  # log Bayes factor: one in three thousand, several movements tried
 FEWEST_IN_GROUP = 6
 DIRECTIONS = ("left to right", "front to back", "head to feet")  # the axes of the CT
+# Square of the distance of a pose from its landmarks, in their standard deviations: 1 in 100 of six unknowns.
+# Safety against another head, or an arm that errs, which a pose far off fits best. Source: chi-squared.
+LARGEST_LANDMARK_SQUARE = 16.8
 
 
 @dataclass(frozen=True)
@@ -103,11 +106,10 @@ def is_side_proven(
     across = np.array([2.0 * axes.middle_mm[0], 0.0, 0.0])
     mirrored = Pose(flip @ found.pose.rotation @ flip, flip @ found.pose.translation_mm + across)
     other = settle(mirrored, points_mm @ flip, view_mm @ flip, surface, used)
-    here, there = found.capped_mm2, other.capped_mm2
-    # A place that is no surface in the CT, such as a thin ear, must not decide alone.
-    both = used & found.valid & other.valid
-    worse = found.capped_mean_mm2(both) > other.capped_mean_mm2(both)
-    if worse and here > there + CLEARLY_MIRRORED_MM2:
+    # A place that is no surface in one of both, such as a thin ear, says nothing; few points must not decide.
+    both = found.valid & other.valid
+    here, there = found.capped_mean_mm2(both), other.capped_mean_mm2(both)
+    if here > there + CLEARLY_MIRRORED_MM2:
         got = f"{there**0.5:.2f} mm rms, else {here**0.5:.2f} mm"
         raise MIRRORED_HEAD("left and right of the CT are exchanged", got=got)
     return there > here + CLEARLY_MIRRORED_MM2
@@ -153,12 +155,28 @@ def require_start(pose: Pose, start: Start | None, axes: HeadAxes) -> None:
     turn = float(Rotation.from_matrix(pose.rotation @ before.rotation.T).magnitude())
     robot = (at_mm - pose.translation_mm) @ pose.rotation
     place = float(np.linalg.norm(before.apply(robot[None])[0] - at_mm))
+    if start.landmarks_ct_mm is not None:
+        _require_landmarks(pose, before, start.landmarks_ct_mm, start.place_mm)
     turn_limit, place_limit_mm = START_SIGMAS * start.turn_rad, START_SIGMAS * start.place_mm
     if turn > turn_limit or place > place_limit_mm:
         raise FAR_FROM_START(
             "the registration ended far from its start",
             limit=f"{np.degrees(turn_limit):.1f} deg and {place_limit_mm:.1f} mm",
             got=f"{np.degrees(turn):.1f} deg and {place:.1f} mm",
+        )
+
+
+def _require_landmarks(pose: Pose, before: Pose, landmarks_ct_mm: Array, deviation_mm: float) -> None:
+    """Raise SRF-009 if the pose puts landmarks further from where they were touched than they err."""
+    touched = (landmarks_ct_mm - before.translation_mm) @ before.rotation
+    away_mm = np.linalg.norm(pose.apply(touched) - landmarks_ct_mm, axis=1)
+    limit_mm = deviation_mm * float(np.sqrt(LARGEST_LANDMARK_SQUARE / len(away_mm)))
+    rms_mm = float(np.sqrt(np.mean(away_mm**2)))
+    if rms_mm > limit_mm:
+        raise FAR_FROM_START(
+            "the registration puts the landmarks elsewhere than they were touched",
+            limit=f"{limit_mm:.1f} mm rms",
+            got=f"{rms_mm:.1f} mm",
         )
 
 

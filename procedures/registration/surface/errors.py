@@ -1,4 +1,4 @@
-"""Errors in the registration of surfaces, SRF-001 to SRF-035."""
+"""Errors in the registration of surfaces, SRF-001 to SRF-037."""
 
 from __future__ import annotations
 
@@ -165,4 +165,11 @@ CARRIED_DIFFERS = ErrorCode(
     RefusedError,
     "After a move of the clamp, the skin is not where its frame has carried the registration.",
     "Go on with the next step: the landmarks are touched again, and the whole skin is scanned.",
+)
+
+HALF_A_HEAD = ErrorCode(
+    "SRF-037",
+    RefusedError,
+    "The CT ends above the nose and the ears: too little skin to scan is in it.",
+    "Import a CT from the vertex to below the nose, or register by markers.",
 )

@@ -76,8 +76,8 @@ class Settled:
         return float(np.mean(capped**2))
 
     def capped_mean_mm2(self, used: Mask) -> float:
-        """Mean square of the distances of some points; far ones count as `NEAR_MM`."""
-        distances_mm = np.minimum(np.abs(self.distances_mm[used]), NEAR_MM)
+        """Mean square of the distances of some points; those of another body count as its limit."""
+        distances_mm = np.minimum(np.abs(self.distances_mm[used]), PATCH_LIMIT_MM)
         return float(np.mean(distances_mm**2)) if len(distances_mm) else 0.0
 
     def sigma_of(self, used: Mask) -> float:

@@ -9,6 +9,7 @@ points as if they were independent.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -19,6 +20,7 @@ from scipy.spatial.transform import RigidTransform
 from procedures.registration.error_sources import LINE, SKIN, SPHERES
 from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
+from procedures.registration.surface.bare_bone import open_where_bare
 from procedures.registration.surface.changed_skin import ChangedSkin, list_regions
 from procedures.registration.surface.checks import (
     SurfaceLimits,
@@ -32,6 +34,7 @@ from procedures.registration.surface.checks import (
     require_still,
     share_covered,
 )
+from procedures.registration.surface.global_search import find_pose
 from procedures.registration.surface.misfit import (
     LEAST_NOISE_MM,
     MISFITS,
@@ -51,7 +54,7 @@ from procedures.registration.surface.spheres import (
     judge_spheres,
     require_unmoved,
 )
-from procedures.registration.surface.starts import Start, find_pose, pose_of
+from procedures.registration.surface.starts import Start, pose_of
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import merge_neighbours, thin_points
 from ronna_hw.arrays import Array, Mask
@@ -151,8 +154,11 @@ def register_surface(
     arm: Sources = (),
     spheres: LookedSpheres | None = None,
     limits: SurfaceLimits | None = None,
+    find_bone: Callable[[], Surface] | None = None,
 ) -> SurfaceRegistration:
     """Register a scan to a surface; without a start the pose is searched by the scan alone.
+
+    `find_bone` returns the skull, for the part of the scan that lies on it because the scalp is open.
 
     `arm` are errors that the points share, as displacements in the robot frame, with a row for each look (in
     the order of their numbers) or for each point, then for each look at the `spheres`. Without targets the
@@ -165,7 +171,8 @@ def register_surface(
     thin = scan.select(thin_points(scan.points_mm))
     if len(thin) < FEWEST_POINTS:
         require_coverage(0.0, len(thin), limits)
-    pose = _settle(thin, surface, start, limits).pose
+    settled, surface = _settle(thin, surface, start, limits, find_bone)
+    pose = settled.pose
     merged, rows, is_hair = merge_neighbours(scan, Settled.at(pose, scan.points_mm, scan.view_mm, surface))
     found = Settled.at(pose, merged.points_mm, merged.view_mm, surface)
     used = ~mark_other_bodies(found) & ~is_hair
@@ -204,8 +211,14 @@ def register_surface(
     return registration
 
 
-def _settle(thin: SurfaceScan, surface: Surface, start: Start | None, limits: SurfaceLimits) -> Settled:
-    """Settle the scan on the surface. Raises SRF-002, 004, 005, 010.
+def _settle(
+    thin: SurfaceScan,
+    surface: Surface,
+    start: Start | None,
+    limits: SurfaceLimits,
+    find_bone: Callable[[], Surface] | None,
+) -> tuple[Settled, Surface]:
+    """Settle the scan on the surface, which bare bone may be a part of. Raises SRF-002, 004, 005, 010.
 
     A start from which it does not settle is not trusted: the search then says whether it was wrong.
     """
@@ -213,10 +226,12 @@ def _settle(thin: SurfaceScan, surface: Surface, start: Start | None, limits: Su
     found = None if start is None else settle(pose_of(start), points, view, surface)
     if found is None or found.sigma_mm > same_head_mm:
         found = settle(find_pose(points, view, surface, same_head_mm).pose, points, view, surface)
+    if find_bone is not None:
+        found, surface = open_where_bare(found, points, view, surface, find_bone)
     require_same_head(found, limits)
     is_other = mark_other_bodies(found)
     require_skin(is_other, limits)
-    return settle(found.pose, points, view, surface, ~is_other)
+    return settle(found.pose, points, view, surface, ~is_other), surface
 
 
 @dataclass(frozen=True, eq=False)

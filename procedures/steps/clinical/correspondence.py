@@ -33,7 +33,7 @@ from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.wire.room_tasks import TOUCH
+from ronna_hw.wire.room_tasks import SITE_MARK, TOUCH
 
 FARTHEST_MM = 3000.0  # of a head from the arm's base
 READ_AGAIN = (
@@ -92,6 +92,11 @@ class SurfaceStart(Correspondence, kind="surface_start"):
     landmarks: tuple[TouchedPoint, ...] = Field(description="As touched, in this order.")
     turn_sd_rad: float = Field(description="Standard deviation of the pose's rotation.")
     place_sd_mm: float = Field(description="Standard deviation of its place.")
+    site: TouchedPoint | None = Field(
+        default=None,
+        description="Mark of an entry on the patient's skin, which tells left from right; none if no entry "
+        "is far enough from the middle.",
+    )
     carried: str | None = Field(
         default=None, description="Record of the former registration, if the frame on the clamp carried one."
     )
@@ -99,7 +104,8 @@ class SurfaceStart(Correspondence, kind="surface_start"):
     @property
     def start(self) -> Start:
         """The pose with its error."""
-        return Start(self.robot_from_ct.transform, self.turn_sd_rad, self.place_sd_mm)
+        touched = np.array([one.in_ct_mm for one in self.landmarks])
+        return Start(self.robot_from_ct.transform, self.turn_sd_rad, self.place_sd_mm, touched)
 
 
 def run(context: StepContext) -> Outcome[Correspondence]:
@@ -193,15 +199,21 @@ def _touch_if_mirrored(
     )
 
 
-def touch_head(context: StepContext, order: str, direction: Numbers3) -> Numbers3:
-    """Have the head touched on the side of a direction (LPS); return the place as read, robot frame, mm."""
+def touch_head(
+    context: StepContext, order: str, direction: Numbers3 | None = None, *, site_of: str | None = None
+) -> Numbers3:
+    """Have the head touched; return the place as read, robot frame, mm.
+
+    It is touched on the side of a direction (LPS), or at the mark for the entry of the trajectory `site_of`.
+    """
     context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
     x_mm, y_mm, z_mm = context.perform_task(
         Task(
-            TOUCH,
+            TOUCH if site_of is None else SITE_MARK,
             f"{order} and read its position in the base of the master ($ROBROOT of a KUKA, Base of a "
             "Universal Robots arm)",
-            numbers=direction,
+            trajectory=site_of,
+            numbers=direction or (),
             reads=("x in mm", "y in mm", "z in mm"),
             plausible_mm=(-FARTHEST_MM, FARTHEST_MM),
         )

@@ -346,7 +346,9 @@ class RegisteredBySurface(RegisteredRobot, kind="surface_registration"):
     coverage: float = Field(description="Share of the skin above the jaw near the points used.")
     misfit_mm: float = Field(description="Standard deviation of the skin's misfit, as the scan shows it.")
     misfit_length_mm: float = Field(description="Length over which the misfit is alike.")
-    side_proven: bool = Field(description="Whether the mirror image fits clearly worse.")
+    side_proven: bool = Field(
+        description="Whether the mirror image fits clearly worse, or a mark on the skin told left from right."
+    )
     changed: tuple[SkinRegion, ...] = Field(default=(), description="Regions that have probably moved.")
     carried: bool = Field(
         default=False,

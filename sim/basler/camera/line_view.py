@@ -6,16 +6,20 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.basler.optics.canvas import Area, Lens
 from sim.basler.optics.laser_line import FILM, FURTHEST_MM, SKIN, Body, Hair, LineRun, trace_line
 from sim.basler.optics.sphere import DrawnSphere
 from sim.world.displacements import RoomShift, rigid_move
+from sim.world.head_surface.bare_bone import HeadWithBareBone
 from sim.world.head_surface.ellipsoidal_head import EllipsoidalHead
+from sim.world.head_surface.parametric_head import ParametricHead
 from sim.world.head_surface.regions import hair_mm, hidden_by_hair
-from sim.world.rigid import Matrix, apply, as_point, inverse, matrix_of
+from sim.world.head_surface.surface import HeadSurface
+from sim.world.rigid import Matrix, Vectors, apply, as_point, inverse, matrix_of
 from sim.world.scene.model import CameraTruth, Scene
-from sim.world.scene.skin import head_with_face, skin_in_theatre
+from sim.world.scene.skin import head_in_theatre, prepare_skin, skin_in_theatre
 
 HAND_RADIUS_MM = 12.0  # of a finger's end
 HAND_BESIDE_MM = 8.0  # of the line's middle: it takes half of what the cameras see
@@ -32,17 +36,15 @@ class LineView:
         head = scene.head
         self._robot_from_ct = matrix_of(head.robot_from_ct)
         self._skin = Body(skin_in_theatre(head), SKIN)
-        faced = head_with_face(head)
-        self._hair = None if faced is None else Hair(partial(hidden_by_hair, faced), partial(hair_mm, faced))
-        if (
-            self._projector is not None
-        ):  # the surface is sampled now, not while a camera waits for its picture
-            middle = np.array([head.centre_ct_mm])
-            self._skin.surface.cast(
-                middle + np.array([0.0, 0.0, FURTHEST_MM]), np.array([[0.0, 0.0, -1.0]]), FURTHEST_MM
-            )
+        faced = head_in_theatre(head)
+        self._hair = None
+        if faced is not None:
+            hides = partial(is_under_hair, faced, self._skin.surface)
+            self._hair = Hair(hides, partial(hair_mm, faced))
+        if self._projector is not None:
+            prepare_skin(head)
             if faced is not None:
-                hidden_by_hair(faced, middle)
+                hidden_by_hair(faced, np.array([head.centre_ct_mm]))
 
     def runs(
         self,
@@ -88,3 +90,9 @@ class LineView:
             return None
         centre = apply(ct_from_projector, (HAND_BESIDE_MM, 0.0, away_mm - height_mm))
         return Body(EllipsoidalHead(as_point(centre), (HAND_RADIUS_MM,) * 3), HAND)
+
+
+def is_under_hair(faced: ParametricHead, surface: HeadSurface, points_mm: Vectors) -> NDArray[np.bool_]:
+    """Return whether hair hides points (n,) of a head's surface: bone laid bare has none."""
+    hidden = hidden_by_hair(faced, points_mm)
+    return hidden & ~surface.shows_bone(points_mm) if isinstance(surface, HeadWithBareBone) else hidden

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.errors import BAD_SCENE
-from sim.world.rigid import Vector
-from sim.world.scene.model import CtProtocol, Head
+from sim.world.rigid import Point, Vector
+from sim.world.scene.model import CtProtocol, Head, Scene
 from sim.world.scene.skin import head_extent
 
 MARKER_ROOM_MM = 14.0  # around a sphere's centre: the sphere, its blur, and air for contrast
@@ -48,6 +48,12 @@ class CtGrid:
         """Slice positions in mm."""
         return _positions(self.origin_mm[2], self.slice_mm, self.slices)
 
+    def without_lowest(self, slices: int) -> CtGrid:
+        """Return the grid without so many slices from the feet on."""
+        x, y, z = self.origin_mm
+        z = round(z + slices * self.slice_mm, ORIGIN_DIGITS)
+        return replace(self, origin_mm=(x, y, z), slices=self.slices - slices)
+
     def indices(self, axis: int, low_mm: float, high_mm: float) -> slice:
         """Return the indices of voxels along `axis` (0, 1, 2) with centres between two coordinates."""
         spacing = self.slice_mm if axis == 2 else self.pixel_mm
@@ -80,6 +86,18 @@ def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
     lowest, highest = head_extent(head)
     middle = 0.5 * (np.minimum(low, lowest) + np.maximum(high, highest))
     return centre_grid(np.clip(middle, high - field / 2, low + field / 2), protocol)
+
+
+def shown_mm(scene: Scene, place_mm: Point) -> list[float]:
+    """Return where a scene's series shows a place of the head, and the reverse.
+
+    A mirrored series shows it on the other side of the middle of the field.
+    """
+    x, y, z = place_mm
+    if scene.ct.mirrored:
+        across_mm = place_grid(scene.head, scene.ct).x_mm
+        x = float(across_mm[0] + across_mm[-1]) - x
+    return [x, y, z]
 
 
 def centre_grid(middle_mm: Vector, protocol: CtProtocol) -> CtGrid:

@@ -204,12 +204,12 @@ class TrueScene:
     def frame_on_clamp(self, disturbance: Disturbance) -> TrueTool | None:
         """Return the patient's frame, even if no host has loaded it, or None without one.
 
-        It moves with the head, as the clamp holds both.
+        It moves with the head, as the clamp holds both, unless the head slips in the clamp.
         """
         if self._robot_from_patient_frame is None:
             return None
         room = disturbance.room
-        pose = self._tracker_from(room) @ rigid_move(room.head_rad, room.head_mm)
+        pose = self._tracker_from(room) @ room.move_of_clamp()
         return self._place_tool(PATIENT_FRAME_PART_NUMBER, pose @ self._robot_from_patient_frame, disturbance)
 
     def _frame_on_guide(

@@ -14,8 +14,9 @@ from sim.world.scene.model import Scene
 
 DEVICE = "room"
 HEAD, CART, TRACKER, GUIDE, SEAT = "head", "cart", "tracker", "guide", "seat"
+SLIPPING_HEAD = "slipping_head"
 ASSISTANT_CART = "assistant_cart"
-BODIES = (HEAD, CART, ASSISTANT_CART, TRACKER, GUIDE, SEAT)
+BODIES = (HEAD, SLIPPING_HEAD, CART, ASSISTANT_CART, TRACKER, GUIDE, SEAT)
 ROOM = FaultKinds(DEVICE)
 declare_lasting = ROOM.declare_lasting
 LARGEST_MOVE_MM, LARGEST_TURN_DEG = LARGEST["mm"], 90.0
@@ -62,7 +63,8 @@ def _check_time(arguments: Arguments, _scene: Scene) -> Iterator[str]:
 SHIFT = declare_lasting(
     "shift",
     "shift NAME SIGNED SIGNED SIGNED mm",
-    "A body is moved along the robot's x, y and z: the head, the robot's cart, the assistant's cart "
+    "A body is moved along the robot's x, y and z: the head with its clamp, the head within the clamp, so "
+    f"that the patient's frame stays ({SLIPPING_HEAD}), the robot's cart, the assistant's cart "
     f"({ASSISTANT_CART}), the tracker, or by a hand the mounted guide; or the guide in its seat, along the "
     "axes of its calibrated tip.",
     OneOf("to move the", BODIES),
@@ -116,10 +118,10 @@ PUSH_OVER = declare_lasting(
 TURN = declare_lasting(
     "turn",
     "turn NAME SIGNED SIGNED SIGNED deg",
-    "The head turns about its centre, a cart about the base of its arm, the tracker about its origin, the "
-    "guide in its seat about its calibrated tip; or a hand turns the mounted guide about the tracked frame "
-    "on the mount: the frame stays in its place, the guide's end does not, the encoders see nothing. The "
-    "numbers are a rotation vector along the axes of a shift.",
+    "The head turns about its centre, with its clamp or within it, a cart about the base of its arm, the "
+    "tracker about its origin, the guide in its seat about its calibrated tip; or a hand turns the mounted "
+    "guide about the tracked frame on the mount: the frame stays in its place, the guide's end does not, the "
+    "encoders see nothing. The numbers are a rotation vector along the axes of a shift.",
     OneOf("to turn the", BODIES),
     _check_present,
 )

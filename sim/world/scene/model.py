@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import combinations
 from math import dist, sqrt
+from operator import not_
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -92,6 +93,15 @@ class Adhesive(Strict):
     normal_ct: Facing = Field(description="Outward normal of the skin under it, CT frame.")
 
 
+class ExchangedHead(Strict):
+    """Head of another patient, in the place of the scene's."""
+
+    semi_axes_mm: tuple[HeadAxis, HeadAxis, HeadAxis] = Field(
+        description="Semi-axes of its ellipsoid: left, posterior, superior."
+    )
+    face: Face = Field(description="Measures of its face.")
+
+
 class Head(Strict):
     """Patient's head: true pose of the CT frame in the room, and ellipsoid in the CT frame."""
 
@@ -112,6 +122,11 @@ class Head(Strict):
     bare_bone: BareBone | None = Field(
         default=None,
         description="Where the scalp is open in the theatre, on a head with a face; none without.",
+    )
+    exchanged: ExchangedHead | None = Field(
+        default=None,
+        exclude_if=not_,
+        description="The head that lies on the table while the CT shows this one; none if they are the same.",
     )
     fiducials: tuple[Fiducial, ...] = Field(
         description="Spheres on bone screws or on the x-shaped frame; none only on a head with a face."
@@ -169,6 +184,8 @@ class Head(Strict):
             raise ValueError("skin_shift needs a face: the ellipsoid's skin does not move")
         if self.face is None and self.bare_bone is not None:
             raise ValueError("bare_bone needs a face: the ellipsoid has no skull of its own")
+        if self.face is None and self.exchanged is not None:
+            raise ValueError("exchanged needs a face: it is the skin that tells one head from another")
         return self
 
     @model_validator(mode="after")
@@ -214,6 +231,21 @@ class CtProtocol(Strict):
     rows: SlicePixels = Field(default=512, description="Rows of a slice.")
     slices: Annotated[int, Field(ge=1, le=2000)] = Field(default=200, description="Slices of the series.")
     noise_HU: NotNegative = Field(default=20.0, description="Noise, one standard deviation.")
+    mirrored: bool = Field(
+        default=False,
+        exclude_if=not_,
+        description="True: left and right are exchanged on the way, under unchanged headers, and the plan is "
+        "made on what the series shows.",
+    )
+    missing_slices: Annotated[int, Field(ge=0, le=2000)] = Field(
+        default=0, exclude_if=not_, description="Slices, from the feet on, that the series has lost."
+    )
+
+    @model_validator(mode="after")
+    def _some_slices_are_left(self) -> Self:
+        if self.missing_slices >= self.slices:
+            raise ValueError(f"missing_slices must be fewer than the {self.slices} slices of the series")
+        return self
 
 
 class LinkError(Strict):

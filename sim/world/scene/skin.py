@@ -29,6 +29,13 @@ def head_with_face(head: Head) -> ParametricHead | None:
     return _build(head.centre_ct_mm, head.semi_axes_mm, head.face)
 
 
+def head_in_theatre(head: Head) -> ParametricHead | None:
+    """Return the parametric head on the table, or None if it has no face."""
+    if head.exchanged is None:
+        return head_with_face(head)
+    return _build(head.centre_ct_mm, head.exchanged.semi_axes_mm, head.exchanged.face)
+
+
 def skin_in_ct(head: Head) -> HeadSurface:
     """Return the skin as the CT shows it."""
     if head.own_ct is not None:
@@ -38,11 +45,17 @@ def skin_in_ct(head: Head) -> HeadSurface:
 
 def skin_in_theatre(head: Head) -> HeadSurface:
     """Return the skin as it is in the theatre, in the CT frame: where `robot_from_ct` puts it."""
-    faced = head_with_face(head)
+    faced = head_in_theatre(head)
     if faced is None:
         return skin_in_ct(head)
     skin = faced if head.skin_shift.is_none else _shift(faced, head.skin_shift)
     return skin if head.bare_bone is None else HeadWithBareBone(skin, SkullSurface(faced), head.bare_bone)
+
+
+def prepare_skin(head: Head) -> None:
+    """Sample the skin in the theatre now, so that neither a picture nor a touching hand waits for it."""
+    middle = np.array([head.centre_ct_mm])
+    skin_in_theatre(head).cast(middle + np.array([0.0, 0.0, FAR_MM]), np.array([[0.0, 0.0, -1.0]]), FAR_MM)
 
 
 def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:

@@ -1,15 +1,24 @@
-"""A whole case registers on the skin, by a scan over the wire, and its error is within what it predicted."""
+"""Whole cases that register on the skin, by a scan over the wire: within the predicted error, or refused."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import pytest
 from run_folders import records_of
 from simulated_case import SimulatedCase
 
+from sim.world.options import Carrier
+from sim.world.scene.model import ExchangedHead, Scene
+from sim.world.scene.named_scenes import draw_scene
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 SEED = 7
+OTHER_SEED = 107  # of the head of another patient
+HALF_A_HEAD = 90  # slices of the mini scene's CT, from the feet up to the middle of the face
+SCANNING = "since step == surface_scan"
 
 
 def test_a_case_without_markers_reaches_its_target_within_its_predicted_error(case: SimulatedCase) -> None:
@@ -21,3 +30,67 @@ def test_a_case_without_markers_reaches_its_target_within_its_predicted_error(ca
     assert outcome["max_application_error_mm"] < predicted["limit_mm"]
     assert not records["skin_in_ct"]["markers"]
     assert "Registration on the skin" in (case.run_folder / "report.html").read_text()
+
+
+def as_drawn(scene: Scene) -> Scene:
+    return scene
+
+
+def exchange_head(scene: Scene) -> Scene:
+    other = draw_scene("mini", seed=OTHER_SEED, fiducials=Carrier.SURFACE).head
+    assert other.face is not None
+    exchanged = ExchangedHead(semi_axes_mm=other.semi_axes_mm, face=other.face)
+    return scene.model_copy(update={"head": scene.head.model_copy(update={"exchanged": exchanged})})
+
+
+def mirror_ct(scene: Scene) -> Scene:
+    return scene.model_copy(update={"ct": scene.ct.model_copy(update={"mirrored": True})})
+
+
+def halve_ct(scene: Scene) -> Scene:
+    return scene.model_copy(update={"ct": scene.ct.model_copy(update={"missing_slices": HALF_A_HEAD})})
+
+
+@dataclass(frozen=True)
+class Bad:
+    """Input that is refused in a step, with one of these codes."""
+
+    step: str
+    codes: tuple[str, ...]
+    change: Callable[[Scene], Scene] = as_drawn
+    faults: str = ""
+
+
+BAD = {
+    "a head of another patient": Bad(
+        "surface_registration", ("SRF-005", "SRF-009", "SRF-010"), change=exchange_head
+    ),
+    "a mirrored CT": Bad("surface_start", ("SRF-006",), change=mirror_ct),
+    "half a head in the CT": Bad("skin_in_ct", ("SRF-037",), change=halve_ct),
+    "a head that moves with its clamp": Bad(
+        "surface_scan", ("PRO-052",), faults=f"{SCANNING} after 30 s: room shift head 1 1 0.5 mm"
+    ),
+    "a projector that stays dark": Bad(
+        "surface_scan", ("SRF-032",), faults=f"{SCANNING}: camera projector dark"
+    ),
+    "a saturated camera": Bad("surface_scan", ("SRF-032",), faults=f"{SCANNING}: camera saturate left"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_refused_with_the_arm_at_rest_and_nothing_lost(name: str, case: SimulatedCase) -> None:
+    bad = BAD[name]
+    scene = bad.change(draw_scene("mini", seed=SEED, fiducials=Carrier.SURFACE))
+    ran = case.run(scene=scene, faults=bad.faults)
+    assert ran.returncode != 0, ran.stdout
+    lines = case.journal
+    (failed,) = (line for line in lines if line["entry"] == "failed")
+    assert failed["step"].partition(":")[0] == bad.step
+    assert failed["code"] in bad.codes
+    assert ". " in ran.stderr.splitlines()[-1]  # the reason, then what to do
+    entries = [line["entry"] for line in lines]
+    assert entries.count("motion") == entries.count("moved")
+    assert entries[-1] == "closed"
+    assert "positioning" not in {str(line.get("step")).partition(":")[0] for line in lines}
+    kept = {record.kind for record in records_of(case.run_folder)}
+    assert {line["step"].partition(":")[0] for line in lines if line["entry"] == "result"} <= kept

@@ -7,7 +7,7 @@ import pytest
 from camera_views import FULL, bare_camera
 from numpy.typing import NDArray
 
-from sim.basler.camera.line_view import LineView
+from sim.basler.camera.line_view import LineView, is_under_hair
 from sim.basler.camera.photographer import Photographer
 from sim.basler.optics.canvas import Lens, PixelCanvas
 from sim.basler.optics.laser_light import add_core, add_glow, project_runs
@@ -16,9 +16,12 @@ from sim.basler.optics.laser_line import Body as LitBody
 from sim.basler.optics.speckle import PATTERNS, Speckle
 from sim.basler.settings import CameraSettings, FrameSettings
 from sim.world.displacements import NOTHING_MOVED
+from sim.world.head_surface.bare_bone import BareBone, HeadWithBareBone
 from sim.world.head_surface.ellipsoidal_head import EllipsoidalHead
+from sim.world.head_surface.parametric_head import ParametricHead
+from sim.world.head_surface.skull_surface import SkullSurface
 from sim.world.options import Carrier
-from sim.world.rigid import Vector, apply, inverse, matrix_from, matrix_of, rotation_towards
+from sim.world.rigid import Vector, apply, as_point, inverse, matrix_from, matrix_of, rotation_towards
 from sim.world.scene.as_built import draw_projector
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.skin import skin_in_theatre
@@ -234,3 +237,16 @@ def _is_on(surface: EllipsoidalHead, run: LineRun) -> bool:
 def run_in_tool(run: LineRun) -> Vector:
     """Points of a run in the tool's frame."""
     return apply(inverse(CAMERA_FROM_TOOL), run.points_mm)
+
+
+def test_no_hair_grows_on_bare_bone() -> None:
+    head = draw_scene("mini", seed=1, fiducials=Carrier.SURFACE).head
+    assert head.face is not None
+    hairy = head.face.model_copy(update={"hair_mm": 8.0, "hair_share": 0.9})
+    hairy_head = ParametricHead(head.centre_ct_mm, head.semi_axes_mm, hairy)
+    vertex = np.add(head.centre_ct_mm, (0.0, 0.0, head.semi_axes_mm[2]))
+    around = vertex + np.random.default_rng(0).normal(scale=6.0, size=(60, 3))
+    opening = BareBone(centre_ct_mm=as_point(vertex), radius_mm=60.0)
+    bare = HeadWithBareBone(hairy_head, SkullSurface(hairy_head), opening)
+    assert is_under_hair(hairy_head, hairy_head, around).mean() > 0.5
+    assert not is_under_hair(hairy_head, bare, around).any()

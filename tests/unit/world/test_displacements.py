@@ -42,6 +42,17 @@ def test_a_head_turns_about_its_centre() -> None:
     assert now.tracker_rad == (0.0, 0.0, 0.0)
 
 
+def test_a_head_that_slips_leaves_its_clamp_where_a_moved_head_takes_it_along() -> None:
+    moved = np.eye(4)
+    moved[:3, 3] = (0.0, 2.0, 0.0)
+    _, both = room("at 0 s: room shift head 0 2 0 mm\nat 0 s: room shift slipping_head 1 0 0 mm")
+    assert rigid_move(both.head_rad, both.head_mm)[:3, 3] == pytest.approx((1.0, 2.0, 0.0))
+    assert both.move_of_clamp() == pytest.approx(moved)
+    _, turned = room("at 0 s: room turn slipping_head 0 0 1 deg")
+    assert turned.head_rad == pytest.approx((0.0, 0.0, math.radians(1.0)))
+    assert turned.move_of_clamp() == pytest.approx(np.eye(4), abs=1e-9)
+
+
 def test_a_cart_that_turns_leaves_head_and_tracker_to_each_other() -> None:
     world, now = room("at 0 s: room turn cart 0.3 -0.5 0.8 deg\nat 0 s: room shift cart 1 2 3 mm")
     robot_from_tracker = matrix_of(world.scene.tracker.robot_from_tracker)

@@ -9,7 +9,17 @@ import pytest
 from coded_errors import raises
 
 from ronna_hw.frames import Frame
-from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TASKS, TOUCH, OnStand
+from ronna_hw.wire.room_tasks import (
+    CART_PUSH,
+    DEPTH_STOP,
+    GAUGE,
+    INSERT,
+    SITE_MARK,
+    SKIN,
+    TASKS,
+    TOUCH,
+    OnStand,
+)
 from sim.basler.camera.view import View
 from sim.errors import STAND_NOT_READY, BadFaultScript
 from sim.world.control_port import ControlledRoom
@@ -18,7 +28,7 @@ from sim.world.faults import check_faults, parse_faults
 from sim.world.rigid import inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import Guide
-from sim.world.staff import Staff, read_dials
+from sim.world.staff import Staff, TaskRefused, read_dials
 from sim.world.truth import TrueGuide, read_samples, tip_at_calibration
 from sim.world.world import ArmState, World
 
@@ -272,6 +282,14 @@ def test_staff_touch_the_head_of_the_patient_on_the_given_side(tmp_path: Path) -
     head = SCENE.head
     place_ct = np.array(head.centre_ct_mm) - (0.0, head.semi_axes_mm[1], 0.0)
     assert nose == pytest.approx(head.robot_from_ct.transform(Frame.ROBOT, Frame.CT).apply(place_ct), abs=8.0)
+
+
+def test_staff_touch_the_mark_of_a_trajectory_where_its_entry_is_on_the_patient(tmp_path: Path) -> None:
+    staff, target = Staff(a_world(), tmp_path), SCENE.head.targets[0]
+    place = SCENE.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT).apply(target.entry_ct_mm)
+    assert staff.work(SITE_MARK, target.identifier, ()) == pytest.approx(place, abs=8.0)
+    with pytest.raises(TaskRefused, match="no site is marked for T9"):
+        staff.work(SITE_MARK, "T9", ())
 
 
 JOINTS = (0.0,) * 6

@@ -43,7 +43,7 @@ from procedures.steps.clinical.results import (
 from procedures.steps.clinical.room import ROOM_READS
 from procedures.steps.clinical.sphere_pairs import LookedPairs
 from procedures.steps.clinical.surface.carried_head import register_carried
-from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surface.skin_in_ct import bone_of, skin_of
 from procedures.steps.clinical.surface.skin_pictures import RESIDUALS_PICTURE, draw_residuals
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
@@ -78,8 +78,9 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     planned = [plan.trajectory(name) for name in context.served_trajectories]
     predictions = tuple(_predict(context, scanned, looked, found, one) for one in planned)
     left_out = exclude_beyond_margin(context, plan, predictions)
+    side_proven = found.side_proven or context.result(SurfaceStart).site is not None
     picture = context.keep_picture(RESIDUALS_PICTURE, draw_residuals(skin_of(context), found))
-    _accept(context, plan, found, predictions, left_out, picture)
+    _accept(context, plan, found, predictions, left_out, picture, side_proven=side_proven)
     kept = found.residuals_mm[~found.excluded]
     worst = max(predictions, key=lambda one: one.rms_mm)
     changed = () if found.changed is None else (SkinRegion.of(found.changed),)
@@ -105,7 +106,7 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
             coverage=found.coverage,
             misfit_mm=found.misfit_mm,
             misfit_length_mm=found.misfit_length_mm,
-            side_proven=found.side_proven,
+            side_proven=side_proven,
             changed=changed,
         ),
         summary=f"predicted target error {worst.rms_mm:.2f} mm rms; the skin differs by "
@@ -131,6 +132,7 @@ def _register(
         targets_ct_mm=np.array(targets),
         arm=(*error_budget.errors_at_looks(context, looks, places_mm), _head_errors(context, looks)),
         spheres=None if looked is None else _spheres_of(looked),
+        find_bone=lambda: bone_of(context),
     )
 
 
@@ -214,9 +216,11 @@ def _accept(
     predictions: tuple[Prediction, ...],
     left_out: Mapping[str, str],
     residuals: Picture,
+    *,
+    side_proven: bool,
 ) -> None:
     """Have the operator accept the registration for each target. Raises PRO-002."""
-    if not found.side_proven:
+    if not side_proven:
         context.find(LEFT_AND_RIGHT)
         context.require_yes(
             Question(

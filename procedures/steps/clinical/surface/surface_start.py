@@ -19,6 +19,8 @@ from procedures.journal.results import FramedPose
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import LANDMARKS
+from procedures.registration.surface.errors import MIRRORED_HEAD
+from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.starts import Start, pair_spheres
 from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical.coarse_match import room_prior
@@ -30,20 +32,25 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.conditions import needs_guide_unmounted
+from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit, format_count
 from ronna_hw.vectors import vector3
 
 TOUCHED = ("tip of the nose", "left ear", "right ear")
 LANDMARK_SD_MM = 4.0  # per axis, of a landmark touched on skin and found in the CT (U)
+LEAST_ASIDE_MM = 15.0  # of an entry from the middle: its mirror image is then 30 mm away
 # Of the touched places from the same three of the CT, rms.
 # Safety against a mistyped reading, and against another patient. Source: four times the landmarks' own error.
 MOST_APART_MM = 4.0 * LANDMARK_SD_MM
+# Of the touched mark from the entry of the plan.
+# Safety against a mistyped reading, and another patient. Source: an entry is chosen anew near its mark (U).
+READ_MM = 40.0
 
 
 def run(context: StepContext) -> Outcome[SurfaceStart]:
     """Have the landmarks touched, and fit the head to them, unless its clamp carries a former registration.
 
-    Raises PRO-007, REG-013.
+    Raises SRF-006, PRO-007, REG-013.
     """
     context.result(ImportedCt)
     room, plan = context.result(GlobalLocalization), context.result(CheckedPlan)
@@ -71,6 +78,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     middle_mm = np.asarray(pose.apply(prior.sight.centre_mm))
     if objection := prior.check_position(pose.rotation_matrix, middle_mm):
         raise HeadElsewhere(f"by the landmarks {objection}", action=READ_AGAIN)
+    site = _touch_site(context, plan, pose, HeadAxes.of(skin_of(context)))
     return Outcome(
         SurfaceStart(
             status=MatchStatus.UNIQUE,
@@ -91,9 +99,47 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
             ),
             turn_sd_rad=start.turn_rad,
             place_sd_mm=start.place_mm,
+            site=site,
         ),
         summary=f"{len(TOUCHED)} landmarks, {apart_mm:.1f} mm rms from their fit"
-        + (f"; {format_count(len(paired.pairs), 'sphere')} paired" if paired.pairs else ""),
+        + (f"; {format_count(len(paired.pairs), 'sphere')} paired" if paired.pairs else "")
+        + ("" if site is None else f"; the mark of {site.landmark} is {site.off_mm:.0f} mm from its entry"),
+    )
+
+
+def _touch_site(
+    context: StepContext, plan: CheckedPlan, robot_from_ct: Transform, axes: HeadAxes
+) -> TouchedPoint | None:
+    """Have the mark of the entry furthest aside touched. Raises SRF-006 if it is on the other side.
+
+    Returns None if every entry is near the middle, where a mark does not tell left from right.
+    """
+    middle_mm = float(axes.middle_mm[0])
+    aside = max(plan.plan.trajectories, key=lambda one: abs(one.entry_mm[0] - middle_mm))
+    entry_mm = np.array(aside.entry_mm)
+    if abs(entry_mm[0] - middle_mm) < LEAST_ASIDE_MM:
+        return None
+    order = f"touch the mark of {aside.id} on the patient's skin, made without this plan, with the pointer,"
+    touched_mm = np.array(touch_head(context, order, site_of=aside.id))
+    mirrored_mm = np.array([2.0 * middle_mm - entry_mm[0], *entry_mm[1:]])
+    away_mm, away_mirrored_mm = (
+        float(np.linalg.norm(touched_mm - robot_from_ct.apply(one))) for one in (entry_mm, mirrored_mm)
+    )
+    if away_mirrored_mm < away_mm:
+        raise MIRRORED_HEAD(
+            f"the mark of {aside.id} is on the other side of the patient than its entry in the CT",
+            expected=f"within {READ_MM:g} mm of the entry",
+            got=f"{away_mm:.0f} mm from the entry, {away_mirrored_mm:.0f} mm from its mirror image",
+        )
+    if away_mm > READ_MM:
+        raise GateFailed(
+            f"the mark of {aside.id} is not near its entry in the CT",
+            limit=f"{READ_MM:g} mm",
+            got=f"{format_against_limit(away_mm, READ_MM, 0)} mm",
+            action=READ_AGAIN,
+        )
+    return TouchedPoint(
+        landmark=aside.id, in_ct_mm=vector3(entry_mm), touched_mm=vector3(touched_mm), off_mm=away_mm
     )
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from coded_errors import raises
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.errors import BAD_POINTS
-from procedures.registration.surface.checks import SurfaceLimits, require_skin
+from procedures.registration.surface.checks import SurfaceLimits, require_skin, require_start
 from procedures.registration.surface.errors import (
     BAD_SCAN,
     BAD_SURFACE_INPUT,
@@ -22,6 +24,8 @@ from procedures.registration.surface.errors import (
     SKIN_CHANGED,
     TWO_POSES,
 )
+from procedures.registration.surface.regions import HeadAxes
+from procedures.registration.surface.settling import Pose
 from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface_registration import register_surface
 from procedures.registration.target_prediction import SharedErrors
@@ -79,6 +83,20 @@ def test_a_mirrored_ct_is_refused_where_the_head_is_not_symmetric(made_head, sca
         register_surface(made.scan, Mirrored(head), made.start, limits=SurfaceLimits(largest_residual_mm=3.0))
 
 
+def test_a_place_without_a_surface_does_not_make_a_ct_mirrored(heads, scan_of):
+    class Folded:
+        """Head whose left ear is no surface in the CT."""
+
+        points_mm, normals = heads[0].points_mm, heads[0].normals
+
+        def residuals(self, points_ct_mm):
+            distances, normals, valid = heads[0].residuals(points_ct_mm)
+            return distances, normals, valid & (points_ct_mm[:, 0] < heads[0].axes[0])
+
+    made = scan_of(heads[0], 6)
+    assert not register_surface(made.scan, Folded(), made.start).side_proven
+
+
 def test_a_symmetric_head_does_not_prove_its_side(heads, scan_of):
     made = scan_of(heads[0], 6)
     assert not register_surface(made.scan, heads[0], made.start).side_proven
@@ -119,6 +137,17 @@ def test_a_start_that_was_wrong_is_said(heads, scan_of):
     wrong = Start(Transform(Frame.ROBOT, Frame.CT, made.truth.rigid * aside), 0.01, 1.0)
     with raises(FAR_FROM_START):
         register_surface(made.scan, heads[1], wrong)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_pose_turned_further_than_the_landmarks_err_is_refused(heads, axis):
+    landmarks = np.array([[0.0, -130.0, -30.0], [80.0, 0.0, -30.0], [-80.0, 0.0, -30.0]])
+    start = Start.from_landmarks(landmarks, landmarks, 4.0)
+    for turn_deg, is_refused in ((3.0, False), (9.4, True)):
+        turn = np.asarray(Rotation.from_rotvec(np.radians(turn_deg) * np.eye(3)[axis]).as_matrix())
+        pose, axes = Pose(turn, landmarks.mean(axis=0) @ (np.eye(3) - turn.T)), HeadAxes.of(heads[0])
+        with raises(FAR_FROM_START) if is_refused else nullcontext():
+            require_start(pose, start, axes)
 
 
 def test_a_scan_that_is_mostly_hair_is_refused(heads, scan_of):

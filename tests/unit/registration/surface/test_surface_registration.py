@@ -7,6 +7,7 @@ import pytest
 
 from procedures.registration.error_sources import LINE, SKIN
 from procedures.registration.surface.checks import SurfaceLimits
+from procedures.registration.surface.global_search import find_pose
 from procedures.registration.surface.peers import register_by_closest_points
 from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface_registration import register_surface
@@ -133,3 +134,13 @@ def test_closest_points_of_the_thesis_register_the_same_scan(heads, scan_of):
     made = scan_of(heads[0], 16)
     pose = register_by_closest_points(made.scan, heads[0], made.start)
     assert np.linalg.norm(made.errors_mm(pose), axis=1).max() < 5.0
+
+
+@pytest.mark.parametrize("views", [None, FACE])
+def test_the_pose_is_found_by_the_scan_alone_also_of_the_face_alone(heads, scan_of, views):
+    shown = {} if views is None else {"views": views}
+    for seed, head in enumerate(heads):
+        made = scan_of(head, 40 + seed, **shown)
+        found = find_pose(made.scan.points_mm, made.scan.view_mm, head, SurfaceLimits().largest_residual_mm)
+        there = made.truth.inverse().apply(made.scan.points_mm)
+        assert np.linalg.norm(found.pose.apply(made.scan.points_mm) - there, axis=1).max() < 4.0

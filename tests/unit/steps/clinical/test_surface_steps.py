@@ -19,11 +19,13 @@ from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import FiducialKind
 from procedures.registration.surface.errors import (
     ARM_NOT_CALIBRATED,
+    HALF_A_HEAD,
     NO_PATIENT_FRAME,
     NO_PROJECTOR,
     NO_STATIONS,
     NOTHING_LIT,
 )
+from procedures.registration.surface.surface import Surface
 from procedures.relocalization.errors import NoLine, PairNotUsable
 from procedures.runs.case import strategy_of
 from procedures.runs.request import CaseProcedure
@@ -111,6 +113,15 @@ def test_a_theatre_that_cannot_scan_or_watch_the_head_is_refused_first() -> None
         skin_in_ct.run(
             context_of(stereo=Head(), patient_frame="on clamp", calibrations=SimpleNamespace(arm=None))
         )
+
+
+@pytest.mark.parametrize(("lowest_mm", "is_refused"), [(-165.0, False), (-125.0, True)])
+def test_a_ct_that_ends_in_the_middle_of_the_face_is_refused(lowest_mm: float, is_refused: bool) -> None:
+    around = np.linspace(0.0, 2.0 * np.pi, 40)
+    ring = np.column_stack([75.0 * np.cos(around), 95.0 * np.sin(around)])
+    skin = np.vstack([np.column_stack([ring, np.full(40, z)]) for z in np.arange(0.0, lowest_mm - 1.0, -5.0)])
+    with raises(HALF_A_HEAD) if is_refused else nullcontext():
+        skin_in_ct.require_face(cast(Surface, SimpleNamespace(points_mm=skin)))
 
 
 def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
