@@ -158,11 +158,10 @@ def register_surface(
 ) -> SurfaceRegistration:
     """Register a scan to a surface; without a start the pose is searched by the scan alone.
 
-    `find_bone` returns the skull, for the part of the scan that lies on it because the scalp is open.
-
     `arm` are errors that the points share, as displacements in the robot frame, with a row for each look (in
     the order of their numbers) or for each point, then for each look at the `spheres`. Without targets the
-    middle of the head stands for them.
+    middle of the head stands for them. `find_bone` returns the skull, for the part of the scan that lies on
+    it because the scalp is open.
     Raises SRF-001 to SRF-012: a registration that is not refused may be used within its predicted error.
     """
     limits, spheres = limits or SurfaceLimits(), spheres or LookedSpheres.none()
@@ -173,7 +172,9 @@ def register_surface(
         require_coverage(0.0, len(thin), limits)
     settled, surface = _settle(thin, surface, start, limits, find_bone)
     pose = settled.pose
-    merged, rows, is_hair = merge_neighbours(scan, Settled.at(pose, scan.points_mm, scan.view_mm, surface))
+    merged, rows, is_hair, far = merge_neighbours(
+        scan, Settled.at(pose, scan.points_mm, scan.view_mm, surface)
+    )
     found = Settled.at(pose, merged.points_mm, merged.view_mm, surface)
     used = ~mark_other_bodies(found) & ~is_hair
     coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
@@ -187,11 +188,12 @@ def register_surface(
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = found.pose.rotation, found.pose.translation_mm
     ct_from_robot = Transform(Frame.CT, Frame.ROBOT, RigidTransform.from_matrix(matrix))
+    beside = Settled.at(found.pose, scan.points_mm[far], scan.view_mm[far], surface)
     registration = SurfaceRegistration(
         ct_from_robot.inverse(),
-        merged.points_mm,
-        found.distances_mm,
-        ~used,
+        np.vstack([merged.points_mm, scan.points_mm[far]]),
+        np.append(found.distances_mm, beside.distances_mm),
+        np.append(~used, np.ones(len(far), dtype=bool)),
         adjusted.changed,
         coverage,
         side_proven,

@@ -28,11 +28,15 @@ ABOVE_QUANTILE, ABOVE_SHARE = 0.84, 1.5  # outwards from the median; relative to
 
 
 class MergedScan(NamedTuple):
-    """Scan with one point for its neighbours, the rows of these points in it, and which of them are hair."""
+    """Scan with one point for its neighbours, the rows of these points in it, and which of them are hair.
+
+    `far` are rows of some points that were left out, as they are far from the surface.
+    """
 
     scan: SurfaceScan
     rows: NDArray[np.int64]
     is_hair: Mask
+    far: NDArray[np.int64]
 
 
 def thin_points(points_mm: Array, most: int = MOST_POINTS) -> NDArray[np.int64]:
@@ -50,7 +54,8 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
     `placed` are all points of the scan near their pose. What a merged point may be off by is stated by its
     neighbours or by their scatter, whichever is more. Points far from the surface are left out.
     """
-    near = np.flatnonzero(placed.valid & (np.abs(placed.distances_mm) < NEAR_MM))
+    is_near = placed.valid & (np.abs(placed.distances_mm) < NEAR_MM)
+    near, far = np.flatnonzero(is_near), np.flatnonzero(~is_near)
     order, cell = _cells(scan.points_mm[near], scan.look[near], most)
     ordered = near[order]
     cells = np.arange(cell.max() + 1) if len(cell) else cell
@@ -72,7 +77,8 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
         points_mm=merged.points_mm + moved,
         covariance_mm2=merged.covariance_mm2 * scale[:, None, None],
     )
-    return MergedScan(merged, rows, _mark_hair(placed, near, rows, noise_mm2[rows]))
+    is_hair = _mark_hair(placed, near, rows, noise_mm2[rows])
+    return MergedScan(merged, rows, is_hair, far[thin_points(scan.points_mm[far], most)])
 
 
 def _mark_hair(placed: Settled, near: NDArray[np.int64], rows: NDArray[np.int64], noise_mm2: Array) -> Mask:

@@ -95,4 +95,6 @@ class LineView:
 def is_under_hair(faced: ParametricHead, surface: HeadSurface, points_mm: Vectors) -> NDArray[np.bool_]:
     """Return whether hair hides points (n,) of a head's surface: bone laid bare has none."""
     hidden = hidden_by_hair(faced, points_mm)
-    return hidden & ~surface.shows_bone(points_mm) if isinstance(surface, HeadWithBareBone) else hidden
+    if not isinstance(surface, HeadWithBareBone):
+        return hidden
+    return hidden & np.logical_not(surface.shows_bone(points_mm))

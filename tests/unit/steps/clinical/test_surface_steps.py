@@ -81,7 +81,8 @@ def test_without_spheres_no_strategy_looks_at_them_and_with_some_the_chosen_one_
 def test_the_skin_in_the_ct_keeps_the_spheres_that_were_localized(monkeypatch: pytest.MonkeyPatch) -> None:
     spheres = localized_fiducials()
     head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(80.0, 95.0, 80.0))
-    skin, volume = SimpleNamespace(points_mm=np.zeros((4, 3)), excluded=()), SimpleNamespace()
+    corners_mm = np.array([[80.0, 0.0, 0.0], [-80.0, 0.0, 0.0], [0.0, 95.0, 0.0], [0.0, -95.0, -190.0]])
+    skin, volume = SimpleNamespace(points_mm=corners_mm, excluded=()), SimpleNamespace()
     volume.series_instance_uid = spheres.series_instance_uid
     monkeypatch.setattr(skin_in_ct, "skin_of", lambda _context: skin)
     monkeypatch.setattr(skin_in_ct, "volume_of", lambda _context: volume)
@@ -127,7 +128,7 @@ def test_a_ct_that_ends_in_the_middle_of_the_face_is_refused(lowest_mm: float, i
 def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     skin = SimpleNamespace(points_mm=np.zeros((4, 3)), normals=np.zeros((4, 3)))
     kinematics = SimpleNamespace(branch_of=lambda _joints: None)
-    plan = SimpleNamespace(plan=SimpleNamespace(trajectories=()))
+    plan = SimpleNamespace(plan=SimpleNamespace(trajectories=()), carried=None)
     context = SimpleNamespace(result=lambda _model: plan, progress=lambda _share, _text: None)
     monkeypatch.setattr(surface_paths, "skin_of", lambda _context: skin)
     monkeypatch.setattr(
