@@ -47,7 +47,7 @@ OTHER_HEAD = ErrorCode(
 MIRRORED_HEAD = ErrorCode(
     "SRF-006",
     RefusedError,
-    "The scan fits the mirror image of the head in the CT.",
+    "The scan, or a mark on the patient, fits the mirror image of the CT.",
     "Compare left and right of the patient with the CT and its export. Do not continue before that is clear.",
 )
 

@@ -19,7 +19,7 @@ from sim.world.rigid import Point, Vector
 from sim.world.scene.model import Head
 
 FAR_MM = 400.0  # from the centre: outside every head
-GRID_LINES, FINER_GRIDS = 41, 3  # of parallel rays that look for the furthest place
+GRID_LINES, FINER_GRIDS = 21, 4  # of parallel rays that look for the furthest place
 
 
 def head_with_face(head: Head) -> ParametricHead | None:

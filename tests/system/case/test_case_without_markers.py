@@ -10,6 +10,7 @@ import pytest
 from run_folders import records_of
 from simulated_case import SimulatedCase
 
+from procedures.journal.journal import Line
 from sim.world.options import Carrier
 from sim.world.scene.model import ExchangedHead, Scene
 from sim.world.scene.named_scenes import draw_scene
@@ -77,6 +78,11 @@ BAD = {
 }
 
 
+def step_of(line: Line) -> str:
+    """The step of a line of the journal, without its trajectory."""
+    return str(line.get("step")).partition(":")[0]
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input_is_refused_with_the_arm_at_rest_and_nothing_lost(name: str, case: SimulatedCase) -> None:
     bad = BAD[name]
@@ -85,12 +91,12 @@ def test_bad_input_is_refused_with_the_arm_at_rest_and_nothing_lost(name: str, c
     assert ran.returncode != 0, ran.stdout
     lines = case.journal
     (failed,) = (line for line in lines if line["entry"] == "failed")
-    assert failed["step"].partition(":")[0] == bad.step
+    assert step_of(failed) == bad.step
     assert failed["code"] in bad.codes
     assert ". " in ran.stderr.splitlines()[-1]  # the reason, then what to do
     entries = [line["entry"] for line in lines]
     assert entries.count("motion") == entries.count("moved")
     assert entries[-1] == "closed"
-    assert "positioning" not in {str(line.get("step")).partition(":")[0] for line in lines}
+    assert "positioning" not in {step_of(line) for line in lines}
     kept = {record.kind for record in records_of(case.run_folder)}
-    assert {line["step"].partition(":")[0] for line in lines if line["entry"] == "result"} <= kept
+    assert {step_of(line) for line in lines if line["entry"] == "result"} <= kept

@@ -1,13 +1,17 @@
+import tomllib
+
 import numpy as np
 import pytest
 from coded_errors import raises
 from numpy.typing import NDArray
 
 from sim.errors import BAD_SCENE
-from sim.phantom.case import plan_toml
+from sim.phantom.case import mirrored, plan_toml
 from sim.phantom.families.face_scan import FACE_FAMILIES, face_scan
-from sim.phantom.scan import Scan, SlicePainter
+from sim.phantom.scan import Scan, SlicePainter, plain_scan
+from sim.phantom.scanner.grid import shown_mm
 from sim.world.options import Carrier
+from sim.world.rigid import as_point
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.skin import head_extent, head_with_face, skin_in_ct
@@ -102,3 +106,25 @@ def test_the_plan_says_that_the_skin_is_the_fiducial() -> None:
 def test_an_unknown_family_is_refused_with_those_there_are() -> None:
     with raises(BAD_SCENE, match="free, resting, folded"):
         face_scan(shaved(1), "bandage", "surface")
+
+
+def test_a_mirrored_series_has_its_plan_on_the_other_side_of_the_field() -> None:
+    scene = draw_scene("mini", seed=7, fiducials=Carrier.SURFACE)
+    spoilt = scene.model_copy(update={"ct": scene.ct.model_copy(update={"mirrored": True})})
+    scan, target = plain_scan(spoilt), scene.head.targets[0].target_ct_mm
+    seen = np.array(shown_mm(spoilt, target))
+    index = (np.array([target[0], seen[0]]) - scan.grid.x_mm[0]) / scan.grid.pixel_mm
+    assert index.sum() == pytest.approx(scan.grid.columns - 1)
+    assert shown_mm(spoilt, as_point(seen)) == pytest.approx(target)
+    assert shown_mm(scene, target) == list(target)
+    (planned,) = tomllib.loads(plan_toml(scan, "1.2.3"))["trajectories"]
+    assert planned["target_mm"] == pytest.approx(seen)
+    row = mirrored(lambda _number: np.arange(4, dtype=np.float32).reshape(1, 4))(0)
+    assert row.tolist() == [[3.0, 2.0, 1.0, 0.0]]
+
+
+def test_a_series_may_lack_its_lowest_slices() -> None:
+    scene = draw_scene("mini", seed=7, fiducials=Carrier.SURFACE)
+    whole = plain_scan(scene).grid
+    cut = plain_scan(scene.model_copy(update={"ct": scene.ct.model_copy(update={"missing_slices": 90})})).grid
+    assert cut.z_mm == pytest.approx(whole.z_mm[90:])

@@ -38,7 +38,9 @@ from ronna_hw.vectors import vector3
 
 TOUCHED = ("tip of the nose", "left ear", "right ear")
 LANDMARK_SD_MM = 4.0  # per axis, of a landmark touched on skin and found in the CT (U)
-LEAST_ASIDE_MM = 15.0  # of an entry from the middle: its mirror image is then 30 mm away
+# Of an entry from the middle of the head: its mirror image is then 30 mm away.
+# Safety against a mirrored CT. Source: three times what a touched mark errs (U).
+LEAST_ASIDE_MM = 15.0
 # Of the touched places from the same three of the CT, rms.
 # Safety against a mistyped reading, and against another patient. Source: four times the landmarks' own error.
 MOST_APART_MM = 4.0 * LANDMARK_SD_MM
