@@ -3,14 +3,16 @@
 The centre is where the derivative of a Gaussian as wide as the line, laid across it, sees as much light on
 either side. Such a filter does not see even ambient light, nor the clipped top of a saturated line, and
 little of the halo of light that was scattered in skin. Rows are put together over some spacing along the
-line: one row sees a few grains of speckle only.
+line: one row sees a few grains of speckle only. `line_course` smooths what is left of them along the line.
 
 The standard deviation has three parts: the scatter of shorter blocks of rows, longer than a grain of speckle;
-the asymmetry of the profile, seen as the shift between two filters of different width; and the usual mottle
-of skin. Mottle shifts the line alike in both images, along the skin, so that no point leaves the surface.
+the asymmetry of the profile, seen as the shift between two filters of different width; and the mottle of
+skin. Mottle shifts the line alike in both images, along the skin, so that no point leaves the surface. A
+picture without the line shows it under other light, and the shift is taken out as far as it does.
 
-Light that was scattered inside skin comes back from below its surface. Both images show the line too deep,
-and no profile tells by how much. It is an offset of the surface, which the registration estimates.
+Light that was scattered inside skin comes back from below its surface, most of it beside the line. `glow_px`
+is how far a wider filter sees it from the centre: its sign differs between the images, and `line_points`
+tells from it how much too deep the line appears.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ from procedures.relocalization.grey_image import (
     single_threaded,
     validate_image,
 )
+from procedures.relocalization.line_course import smooth_course
 from procedures.relocalization.line_ridges import HALVINGS, Ridges, find_ridges, runs_along_rows
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import MAD_TO_SIGMA, median
@@ -49,6 +52,9 @@ CLIPPED_SHARE = 0.05  # of the filter's width: error of a centre whose whole cor
 # Relative change of the reflectance of skin across the line: it shifts the centre by the line's variance
 # times this, and leaves no sign. Fitted to path-traced skin mottled by 10 % in blotches of all sizes (U).
 MOTTLE_PER_PX = 0.006
+FINE_MOTTLE = 0.5  # share of its variance in blotches that are new in the next group of rows
+UNSEEN_MOTTLE = 0.4  # share of the mottle that a picture without the line leaves at best
+LARGEST_MOTTLE_PX = 0.4  # shift: beyond, the edge of a shadow or a lamp is seen, which does not move the line
 LARGEST_STEP_PX = 12.0  # from the rough centre, at once
 LEAST_LIGHT = 0.2  # of the usual curvature of the profile; with less, hair hides the line in this row
 OUTLIER_SIGMAS, OUTLIER_FLOOR_PX = 4.0, 0.3
@@ -56,6 +62,7 @@ LEAST_ROWS = 0.5  # of a spacing
 POOLED = 5  # centres whose scatter is put together: four blocks alone say little
 LARGEST_DEVIATION_PX = 2.0
 SATURATED_SHARE = 0.5  # of the image
+TINY = 1e-12
 GAUSSIAN_SLOPE = 0.5 * np.sqrt(np.pi)  # of the filter's answer, on a line of its width and unit height
 
 
@@ -65,7 +72,8 @@ class LineImage:
 
     `deviation_px` (n, 2) is one standard deviation, as a vector across the line: along it a centre is where
     it is by definition. `branch` (n,) numbers the pieces. `width_px` (n,) is the standard deviation of the
-    profile, `grey` (n,) how far it stands out, `clipped` (n,) the saturated share of its core.
+    profile, `grey` (n,) how far it stands out, `clipped` (n,) the saturated share of its core, `glow_px`
+    (n, 2) the vector from the centre to that by a wider filter.
     """
 
     centres_px: Array
@@ -74,6 +82,7 @@ class LineImage:
     width_px: Array
     grey: Array
     clipped: Array
+    glow_px: Array
 
     def with_offset(self, x_px: float, y_px: float) -> Self:
         """Return the line in pixels of the whole sensor, given the corner of the area."""
@@ -88,18 +97,25 @@ def measure_line(lit: AreaImage, dark: AreaImage | None = None, *, spacing_px: i
     """
     grey: GreyImage = validate_image(lit.pixels)
     light = grey if dark is None else _subtract(lit, dark)
+    room = None if dark is None else dark.pixels
     small = halve_image(light, HALVINGS)
     turned = runs_along_rows(small)
     if turned:
         grey, light, small = (_transposed(each) for each in (grey, light, small))
+        room = None if room is None else _transposed(room)
     ridges = find_ridges(small)
     if not len(ridges.row):
         _refuse(grey, ridges)
-    line = _refine(grey, light, ridges, spacing_px)
+    line = _refine(_Profiles(grey, light, room, ridges), ridges, spacing_px)
     if not len(line.branch):
         _refuse(grey, ridges)
     if turned:
-        line = replace(line, centres_px=line.centres_px[:, ::-1], deviation_px=line.deviation_px[:, ::-1])
+        line = replace(
+            line,
+            centres_px=line.centres_px[:, ::-1],
+            deviation_px=line.deviation_px[:, ::-1],
+            glow_px=line.glow_px[:, ::-1],
+        )
     return line.with_offset(lit.offset_x_px, lit.offset_y_px)
 
 
@@ -135,7 +151,8 @@ def _refuse(grey: GreyImage, ridges: Ridges) -> None:
 class _Profiles:
     """Windows across the line, one a row: light, columns, and the filter's answers at the present centres."""
 
-    def __init__(self, grey: GreyImage, light: GreyImage, ridges: Ridges, half_px: int) -> None:
+    def __init__(self, grey: GreyImage, light: GreyImage, room: GreyImage | None, ridges: Ridges) -> None:
+        half_px = min(int(WINDOW_SIGMAS * LARGEST_SIGMA_PX), (light.shape[1] - 1) // 2)
         start = np.clip(np.rint(ridges.column).astype(np.int64) - half_px, 0, None)
         start = np.minimum(start, light.shape[1] - 2 * half_px - 1)
         width_px = 2 * half_px + 1
@@ -146,6 +163,7 @@ class _Profiles:
         clipped = sliding_window_view(grey, width_px, axis=1)[at] >= highest_grey(grey)
         self._clipped = clipped if clipped.any() else None
         self._columns = (start[:, None] + np.arange(width_px)).astype(np.float32)
+        self._room = None if room is None else sliding_window_view(room, width_px, axis=1)[at]
 
     def answer(self, centre: Array, sigma_px: float) -> tuple[Array, Array]:
         """Return what each row shows more on the right, and how that grows per px with the centre."""
@@ -155,6 +173,17 @@ class _Profiles:
         score = np.einsum("ij,ij->i", t, bell).astype(float)
         slope = (bell.sum(axis=1) - np.einsum("ij,ij->i", square, bell)).astype(float) / sigma_px
         return score, slope
+
+    def room(self, centre: Array, sigma_px: float) -> tuple[Array, Array, Array]:
+        """Return the room's light in each row by the filter's score, by its bell, and the bell's sum."""
+        if self._room is None:
+            none = np.zeros(len(centre))
+            return none, none, none
+        t = (self._columns - centre[:, None].astype(np.float32)) / np.float32(sigma_px)
+        bell = np.exp(np.float32(-0.5) * t * t) * self.light
+        seen = bell * self._room
+        score = np.einsum("ij,ij->i", t, seen)
+        return score.astype(float), seen.sum(axis=1).astype(float), bell.sum(axis=1).astype(float)
 
     def core_sigma_px(self, centre: Array) -> float:
         """Return the width of the mean profile at half height, as a standard deviation."""
@@ -185,9 +214,7 @@ def _first_below(falling: Array, level: float) -> float:
     return float(after - 1 + (falling[after - 1] - level) / step)
 
 
-def _refine(grey: GreyImage, light: GreyImage, ridges: Ridges, spacing_px: int) -> LineImage:
-    half_px = min(int(WINDOW_SIGMAS * LARGEST_SIGMA_PX), (light.shape[1] - 1) // 2)
-    profiles = _Profiles(grey, light, ridges, half_px)
+def _refine(profiles: _Profiles, ridges: Ridges, spacing_px: int) -> LineImage:
     centre, sigma_px = ridges.column, FIRST_SIGMA_PX
     short = _Groups(ridges, spacing_px // 2)
     for about_course in (False, True):
@@ -199,34 +226,48 @@ def _refine(grey: GreyImage, light: GreyImage, ridges: Ridges, spacing_px: int) 
     wide_score, wide_slope = profiles.answer(centre, WIDE_FILTER * sigma_px)
     kept = _mark_lit(score, slope, about_course=True)
     groups, blocks = _Groups(ridges, spacing_px), _Groups(ridges, BLOCK_PX)
+    count = groups.add(kept)
+    clipped = groups.mean(profiles.clipped_share(centre, sigma_px), kept)
     weight = np.where(kept, slope, 0.0)
     total = groups.add(weight)
-    over = 1.0 / np.maximum(total, 1e-12)
-    x = groups.add(weight * centre + np.where(kept, score, 0.0)) * over
-    y = groups.add(weight * ridges.row) * over
+    over = 1.0 / np.maximum(total, TINY)
     shift = groups.add(np.where(kept, score, 0.0)) * over
     wide = groups.add(np.where(kept, wide_score, 0.0)) / np.maximum(
-        groups.add(np.where(kept, wide_slope, 0.0)), 1e-12
+        groups.add(np.where(kept, wide_slope, 0.0)), TINY
     )
-    clipped = groups.add(np.where(kept, profiles.clipped_share(centre, sigma_px), 0.0)) / np.maximum(
-        groups.add(kept), 1.0
-    )
+    seen_px = (1.0 - clipped) * _mottle_shift(groups, profiles.room(centre, sigma_px), score, kept) * over
+    mottle_px = MOTTLE_PER_PX * sigma_px**2
+    left_px = max(UNSEEN_MOTTLE * mottle_px, mottle_px - float(np.sqrt(np.mean(seen_px**2))))
     variance = (
         _scatter(groups, blocks, score, weight)
         + (ASYMMETRY_SHARE * (wide - shift)) ** 2
         + (CLIPPED_SHARE * sigma_px * clipped) ** 2
-        + (MOTTLE_PER_PX * sigma_px**2) ** 2
+        + FINE_MOTTLE * left_px**2
     )
-    good = (groups.add(kept) >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
-    height = total / np.maximum(groups.add(kept), 1.0) / GAUSSIAN_SLOPE
+    good = (count >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
+    x = groups.add(weight * centre) * over + shift - seen_px
+    y = groups.add(weight * ridges.row) * over
+    for branch in np.unique(groups.branch[good]):
+        own = good & (groups.branch == branch)
+        x[own], variance[own] = smooth_course(y[own], x[own], variance[own])
+    deviation = np.sqrt(variance + (1.0 - FINE_MOTTLE) * left_px**2)
+    none = np.zeros(len(x))
     return LineImage(
         centres_px=np.column_stack([x, y])[good],
-        deviation_px=np.column_stack([np.sqrt(variance), np.zeros(len(x))])[good],
+        deviation_px=np.column_stack([deviation, none])[good],
         branch=groups.branch[good],
         width_px=np.full(int(good.sum()), sigma_px),
-        grey=height[good],
+        grey=(total / np.maximum(count, 1.0) / GAUSSIAN_SLOPE)[good],
         clipped=clipped[good],
+        glow_px=np.column_stack([wide - shift, none])[good],
     )
+
+
+def _mottle_shift(groups: _Groups, room: tuple[Array, Array, Array], score: Array, kept: Mask) -> Array:
+    """Return what mottle adds to the score of each group, as the room's light shows the same skin."""
+    room_score, room_light, light = (groups.add(np.where(kept, each, 0.0)) for each in room)
+    mean = room_light / np.maximum(light, TINY)
+    return np.asarray(room_score / np.maximum(mean, TINY) - groups.add(np.where(kept, score, 0.0)))
 
 
 class _Groups:
@@ -236,7 +277,8 @@ class _Groups:
         first = np.flatnonzero(np.diff(ridges.branch, prepend=-1))
         start = np.repeat(ridges.row[first], np.diff(np.append(first, len(ridges.row))))
         key = ridges.branch * (int(ridges.row.max()) + 1) + (ridges.row - start) // rows
-        _, begins, self.of_row = np.unique(key, return_index=True, return_inverse=True)
+        is_first = np.diff(key, prepend=-1) != 0
+        begins, self.of_row = np.flatnonzero(is_first), np.cumsum(is_first) - 1
         self.branch = ridges.branch[begins]
         self._branch_of_row, self._row = ridges.branch, ridges.row.astype(float)
 
@@ -244,11 +286,15 @@ class _Groups:
         """Return the sum over each group."""
         return np.bincount(self.of_row, values, len(self.branch)).astype(float)
 
+    def mean(self, values: Array, kept: Mask) -> Array:
+        """Return the mean of the kept rows of each group, zero without any."""
+        return self.add(np.where(kept, values, 0.0)) / np.maximum(self.add(kept), 1.0)
+
     def smooth(self, centre: Array, score: Array, slope: Array, kept: Mask) -> Array:
         """Return the centre in each row on straight pieces between the means of the groups."""
         weight = np.where(kept, slope, 0.0)
         total = self.add(weight)
-        over = 1.0 / np.maximum(total, 1e-12)
+        over = 1.0 / np.maximum(total, TINY)
         x = self.add(weight * centre + np.where(kept, score, 0.0)) * over
         y = self.add(weight * self._row) * over
         course = centre.copy()
