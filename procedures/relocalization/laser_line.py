@@ -22,7 +22,6 @@ from typing import Self
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from procedures.relocalization.errors import BadImage, NoLine, Saturated
@@ -53,8 +52,9 @@ CLIPPED_SHARE = 0.05  # of the filter's width: error of a centre whose whole cor
 # times this, and leaves no sign. Fitted to path-traced skin mottled by 10 % in blotches of all sizes (U).
 MOTTLE_PER_PX = 0.006
 FINE_MOTTLE = 0.5  # share of its variance in blotches that are new in the next group of rows
-UNSEEN_MOTTLE = 0.4  # share of the mottle that a picture without the line leaves at best
-LARGEST_MOTTLE_PX = 0.4  # shift: beyond, the edge of a shadow or a lamp is seen, which does not move the line
+UNSEEN_MOTTLE = 0.15  # share of the mottle that a picture without the line leaves at best
+# Shift over that by usual mottle: beyond, it is the edge of a shadow or lamp, which does not move the line.
+LARGEST_MOTTLE = 1.3
 LARGEST_STEP_PX = 12.0  # from the rough centre, at once
 LEAST_LIGHT = 0.2  # of the usual curvature of the profile; with less, hair hides the line in this row
 OUTLIER_SIGMAS, OUTLIER_FLOOR_PX = 4.0, 0.3
@@ -64,6 +64,8 @@ LARGEST_DEVIATION_PX = 2.0
 SATURATED_SHARE = 0.5  # of the image
 TINY = 1e-12
 GAUSSIAN_SLOPE = 0.5 * np.sqrt(np.pi)  # of the filter's answer, on a line of its width and unit height
+
+Narrow = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -155,32 +157,46 @@ class _Profiles:
         half_px = min(int(WINDOW_SIGMAS * LARGEST_SIGMA_PX), (light.shape[1] - 1) // 2)
         start = np.clip(np.rint(ridges.column).astype(np.int64) - half_px, 0, None)
         start = np.minimum(start, light.shape[1] - 2 * half_px - 1)
-        width_px = 2 * half_px + 1
-        at = ridges.row, start
-        profile = sliding_window_view(light, width_px, axis=1)[at].astype(np.float32)
+        columns = start[:, None] + np.arange(2 * half_px + 1)
+        places = ridges.row[:, None] * light.shape[1] + columns
+        profile = light.ravel().take(places).astype(np.float32)
         ends = 0.5 * (profile[:, :EDGE_PX].mean(axis=1) + profile[:, -EDGE_PX:].mean(axis=1))
         self.light = profile - ends[:, None]
-        clipped = sliding_window_view(grey, width_px, axis=1)[at] >= highest_grey(grey)
-        self._clipped = clipped if clipped.any() else None
-        self._columns = (start[:, None] + np.arange(width_px)).astype(np.float32)
-        self._room = None if room is None else sliding_window_view(room, width_px, axis=1)[at]
+        bright = grey.ravel().take(places)
+        self._clipped = bright >= highest_grey(grey) if bright.max() >= highest_grey(grey) else None
+        self._columns = columns.astype(np.float32)
+        self._room = None if room is None else room.ravel().take(places)
+
+    def narrow(self, half_px: int) -> None:
+        """Forget what is further from the middle of the windows."""
+        middle = self.light.shape[1] // 2
+        near = slice(max(middle - half_px, 0), middle + half_px + 1)
+        self.light, self._columns = self.light[:, near], self._columns[:, near]
+        self._clipped = None if self._clipped is None else self._clipped[:, near]
+        self._room = None if self._room is None else self._room[:, near]
 
     def answer(self, centre: Array, sigma_px: float) -> tuple[Array, Array]:
         """Return what each row shows more on the right, and how that grows per px with the centre."""
-        t = (self._columns - centre[:, None].astype(np.float32)) / np.float32(sigma_px)
-        square = t * t
-        bell = np.exp(np.float32(-0.5) * square) * self.light
+        t, square, bell = self._weigh(centre, sigma_px)
         score = np.einsum("ij,ij->i", t, bell).astype(float)
         slope = (bell.sum(axis=1) - np.einsum("ij,ij->i", square, bell)).astype(float) / sigma_px
         return score, slope
+
+    def _weigh(self, centre: Array, sigma_px: float) -> tuple[Narrow, Narrow, Narrow]:
+        """Return places in units of the filter's width, their squares, and the light under its bell."""
+        t = self._columns - centre[:, None].astype(np.float32)
+        t *= np.float32(1.0 / sigma_px)
+        square = t * t
+        bell = np.exp(np.float32(-0.5) * square)
+        bell *= self.light
+        return t, square, bell
 
     def room(self, centre: Array, sigma_px: float) -> tuple[Array, Array, Array]:
         """Return the room's light in each row by the filter's score, by its bell, and the bell's sum."""
         if self._room is None:
             none = np.zeros(len(centre))
             return none, none, none
-        t = (self._columns - centre[:, None].astype(np.float32)) / np.float32(sigma_px)
-        bell = np.exp(np.float32(-0.5) * t * t) * self.light
+        t, _, bell = self._weigh(centre, sigma_px)
         seen = bell * self._room
         score = np.einsum("ij,ij->i", t, seen)
         return score.astype(float), seen.sum(axis=1).astype(float), bell.sum(axis=1).astype(float)
@@ -222,6 +238,7 @@ def _refine(profiles: _Profiles, ridges: Ridges, spacing_px: int) -> LineImage:
         kept = _mark_lit(score, slope, about_course=about_course)
         centre = short.smooth(centre, score, slope, kept)
         sigma_px = profiles.core_sigma_px(centre)
+    profiles.narrow(int(WINDOW_SIGMAS * WIDE_FILTER * sigma_px + LARGEST_STEP_PX))
     score, slope = profiles.answer(centre, sigma_px)
     wide_score, wide_slope = profiles.answer(centre, WIDE_FILTER * sigma_px)
     kept = _mark_lit(score, slope, about_course=True)
@@ -237,6 +254,7 @@ def _refine(profiles: _Profiles, ridges: Ridges, spacing_px: int) -> LineImage:
     )
     seen_px = (1.0 - clipped) * _mottle_shift(groups, profiles.room(centre, sigma_px), score, kept) * over
     mottle_px = MOTTLE_PER_PX * sigma_px**2
+    seen_px /= 1.0 + (seen_px / (LARGEST_MOTTLE * mottle_px)) ** 4
     left_px = max(UNSEEN_MOTTLE * mottle_px, mottle_px - float(np.sqrt(np.mean(seen_px**2))))
     variance = (
         _scatter(groups, blocks, score, weight)

@@ -52,7 +52,9 @@ class Head:
         centres[:, 0] += sigma_px * self._random.standard_normal(len(centres))
         deviation = np.tile([max(sigma_px, 1e-3), 0.0], (len(centres), 1))
         ones = np.ones(len(centres))
-        return LineImage(centres, deviation, branch, 5.0 * ones, 100.0 * ones, 0.0 * ones)
+        return LineImage(
+            centres, deviation, branch, 5.0 * ones, 100.0 * ones, 0.0 * ones, np.zeros((len(centres), 2))
+        )
 
     def scan(self, *pieces: Array, sigma_px: float = 0.0) -> LinePoints:
         left, right = (self.see(side, *pieces, sigma_px=sigma_px) for side in (0, 1))
