@@ -217,8 +217,11 @@ class _Profiles:
         """Return the saturated share of each row's core."""
         if self._clipped is None:
             return np.zeros(len(centre))
-        core = np.abs(self._columns - centre[:, None]) < sigma_px
-        return np.asarray((self._clipped & core).sum(axis=1) / np.maximum(core.sum(axis=1), 1))
+        share = np.zeros(len(centre))
+        rows = np.flatnonzero(self._clipped.any(axis=1))
+        core = np.abs(self._columns[rows] - centre[rows, None]) < sigma_px
+        share[rows] = (self._clipped[rows] & core).sum(axis=1) / np.maximum(core.sum(axis=1), 1)
+        return share
 
 
 def _first_below(falling: Array, level: float) -> float:

@@ -10,6 +10,7 @@ tells its plane: `light_plane` puts many together.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,7 @@ def triangulate_line(
     plane, ARG-001 for what is no calibration.
     """
     require_calibration(calibration)
-    level = _LevelHead(calibration)
+    level = _level_head(calibration)
     candidates = _match(level, level.place(left, 0), level.place(right, 1))
     count = len(np.unique(candidates.left))
     if count < FEWEST_POINTS:
@@ -171,6 +172,11 @@ class _LevelHead:
         jacobian[:, 0, 0] += depth
         jacobian[:, 1, 2] += depth
         return by_depth @ self.axes + self.origin_mm, self.axes.T @ jacobian
+
+
+@lru_cache(maxsize=4)  # a scan asks for the same head at each line
+def _level_head(calibration: StereoHeadCalibration) -> _LevelHead:
+    return _LevelHead(calibration)
 
 
 def _slopes(u: Array, v: Array, branch: NDArray[np.int64]) -> Array:
