@@ -3,10 +3,9 @@
     python -m benchmarks.stereo_head.traced_lines FOLDER [--keep JSON] [--pictures PNG]
 
 FOLDER holds views by `benchmarks/peers/line_tracer.py`; those without light from inside are left out where it
-is mixed in. Prints one row per kind of picture: error of the
-centre in px with its normalized square, and of the points in mm, as they are and about their mean offset
-along the tool axis in each view, the depth that the glow beside the line told,
-and the normalized square of the depth. `--pictures` writes a crop of each kind.
+is mixed in. Prints one row per kind of picture: error of the centre in px with its normalized square, and of
+the points in mm, as they are and about their mean offset along the tool axis in each view; the depth that the
+glow beside the line told, and the normalized square of the depth. `--pictures` writes a crop of each kind.
 
 A view is linear light in parts, which are mixed here: lamps of the room, the line on the surface of the skin,
 and the line scattered inside. Speckle is drawn on top: a path tracer has no waves.
@@ -87,7 +86,8 @@ def main() -> None:
     rows: dict[str, dict[str, float]] = {}
     crops = []
     print(
-        f"{'skin':30} {'views':>5} {'px rms':>7} {'square':>7} {'mm rms':>7} {'offset':>7} {'about it':>8} {'glow':>6} {'square':>6}"
+        f"{'skin':30} {'views':>5} {'px rms':>7} {'square':>7} {'mm rms':>7} {'offset':>7} {'about it':>8}"
+        f" {'glow':>6} {'square':>6}"
     )
     for kind in KINDS:
         row, views = measure_kind(files, kind)

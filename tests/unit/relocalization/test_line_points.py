@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.relocalization.laser_line import LineImage
 from procedures.relocalization.light_plane import LineRecord, fit_plane, record_line
-from procedures.relocalization.line_points import LinePoints, triangulate_line
+from procedures.relocalization.line_points import DEPTH_OVER_GLOW, LinePoints, triangulate_line
 from procedures.relocalization.triangulation import camera_model
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import StereoHeadCalibration
@@ -86,6 +86,22 @@ def test_the_covariance_is_as_large_as_the_scatter_off_the_line(eyes: Head) -> N
         squares.append(np.einsum("ni,nij,nj->n", across, inverse, across))
 
     assert 0.7 < np.mean(np.concatenate(squares)) / 2.0 < 1.3
+
+
+def test_points_are_lifted_by_as_much_as_the_glow_beside_the_line_says_it_lies_too_deep(eyes: Head) -> None:
+    true = on_head()
+    left, right = (eyes.see(side, true) for side in (0, 1))
+    deeper = [eyes.see(side, true + np.array([0.0, 0.0, 0.02])).centres_px for side in (0, 1)]
+    glowing = [
+        replace(line, glow_px=(seen - line.centres_px) * [1.0, 0.0])
+        for line, seen in zip((left, right), deeper, strict=True)
+    ]
+
+    found, plain = (triangulate_line(*lines, eyes.calibration) for lines in (glowing, (left, right)))
+
+    assert found.glow_mm == pytest.approx(DEPTH_OVER_GLOW * 0.02, rel=0.05)
+    np.testing.assert_allclose(plain.points_mm[:, 2] - found.points_mm[:, 2], found.glow_mm, rtol=0.02)
+    assert plain.glow_mm == 0.0
 
 
 def test_both_pieces_at_the_edge_of_an_ear_are_matched_by_their_plane(eyes: Head) -> None:
