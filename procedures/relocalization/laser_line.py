@@ -42,6 +42,7 @@ SPACING_PX = 32  # of the centres along the line: 0.7 mm at the tool centre poin
 BLOCK_PX = 8  # of rows whose scatter is looked at: a grain of speckle is 2 px
 FIRST_SIGMA_PX, LEAST_SIGMA_PX, LARGEST_SIGMA_PX = 8.0, 1.5, 12.0  # of the filter
 WINDOW_SIGMAS = 3.0
+HALVING_PX2 = 0.5  # variance that halving the image and whole columns of it add to the width
 WIDTH_SAMPLING = 3  # every third row tells the width
 EDGE_PX = 4  # at either end of a profile, for the level of the light beside the line
 WIDTH_OVER_SIGMA = 2.355  # of a Gaussian at half height
@@ -100,15 +101,18 @@ def measure_line(lit: AreaImage, dark: AreaImage | None = None, *, spacing_px: i
     grey: GreyImage = validate_image(lit.pixels)
     light = grey if dark is None else _subtract(lit, dark)
     room = None if dark is None else dark.pixels
-    small = halve_image(light, HALVINGS)
+    half = halve_image(light, 1)
+    small = halve_image(half, HALVINGS - 1)
     turned = runs_along_rows(small)
     if turned:
-        grey, light, small = (_transposed(each) for each in (grey, light, small))
+        grey, light, half, small = (_transposed(each) for each in (grey, light, half, small))
         room = None if room is None else _transposed(room)
     ridges = find_ridges(small)
     if not len(ridges.row):
         _refuse(grey, ridges)
-    line = _refine(_Profiles(grey, light, room, ridges), ridges, spacing_px)
+    course, sigma_px = _follow(half, ridges, spacing_px)
+    half_px = int(WINDOW_SIGMAS * WIDE_FILTER * sigma_px)
+    line = _refine(_Profiles(grey, light, room, course, half_px), course, sigma_px, spacing_px)
     if not len(line.branch):
         _refuse(grey, ridges)
     if turned:
@@ -153,8 +157,10 @@ def _refuse(grey: GreyImage, ridges: Ridges) -> None:
 class _Profiles:
     """Windows across the line, one a row: light, columns, and the filter's answers at the present centres."""
 
-    def __init__(self, grey: GreyImage, light: GreyImage, room: GreyImage | None, ridges: Ridges) -> None:
-        half_px = min(int(WINDOW_SIGMAS * LARGEST_SIGMA_PX), (light.shape[1] - 1) // 2)
+    def __init__(
+        self, grey: GreyImage, light: GreyImage, room: GreyImage | None, ridges: Ridges, half_px: int
+    ) -> None:
+        half_px = min(half_px, (light.shape[1] - 1) // 2)
         start = np.clip(np.rint(ridges.column).astype(np.int64) - half_px, 0, None)
         start = np.minimum(start, light.shape[1] - 2 * half_px - 1)
         columns = start[:, None] + np.arange(2 * half_px + 1)
@@ -166,14 +172,6 @@ class _Profiles:
         self._clipped = bright >= highest_grey(grey) if bright.max() >= highest_grey(grey) else None
         self._columns = columns.astype(np.float32)
         self._room = None if room is None else room.ravel().take(places)
-
-    def narrow(self, half_px: int) -> None:
-        """Forget what is further from the middle of the windows."""
-        middle = self.light.shape[1] // 2
-        near = slice(max(middle - half_px, 0), middle + half_px + 1)
-        self.light, self._columns = self.light[:, near], self._columns[:, near]
-        self._clipped = None if self._clipped is None else self._clipped[:, near]
-        self._room = None if self._room is None else self._room[:, near]
 
     def answer(self, centre: Array, sigma_px: float) -> tuple[Array, Array]:
         """Return what each row shows more on the right, and how that grows per px with the centre."""
@@ -211,7 +209,7 @@ class _Profiles:
         mean = sums / np.maximum(counts, 1)
         half = 0.5 * mean[max(0, reach - 1) : reach + 2].mean()
         sides = [_first_below(mean[reach:], half), _first_below(mean[reach::-1], half)]
-        return float(np.clip(sum(sides) / WIDTH_OVER_SIGMA, LEAST_SIGMA_PX, LARGEST_SIGMA_PX))
+        return sum(sides) / WIDTH_OVER_SIGMA
 
     def clipped_share(self, centre: Array, sigma_px: float) -> Array:
         """Return the saturated share of each row's core."""
@@ -233,19 +231,33 @@ def _first_below(falling: Array, level: float) -> float:
     return float(after - 1 + (falling[after - 1] - level) / step)
 
 
-def _refine(profiles: _Profiles, ridges: Ridges, spacing_px: int) -> LineImage:
-    centre, sigma_px = ridges.column, FIRST_SIGMA_PX
-    short = _Groups(ridges, spacing_px // 2)
+def _follow(half: GreyImage, ridges: Ridges, spacing_px: int) -> tuple[Ridges, float]:
+    """Return the course of the line, in straight pieces, and its width, from the image halved once."""
+    own = replace(
+        ridges, row=ridges.row[::2] // 2, column=0.5 * (ridges.column[::2] - 0.5), branch=ridges.branch[::2]
+    )
+    profiles = _Profiles(half, half, None, own, int(0.5 * WINDOW_SIGMAS * LARGEST_SIGMA_PX))
+    short = _Groups(own, spacing_px // 4)
+    centre, sigma_px = own.column, FIRST_SIGMA_PX
     for about_course in (False, True):
-        score, slope = profiles.answer(centre, sigma_px)
+        score, slope = profiles.answer(centre, 0.5 * sigma_px)
         kept = _mark_lit(score, slope, about_course=about_course)
         centre = short.smooth(centre, score, slope, kept)
-        sigma_px = profiles.core_sigma_px(centre)
-    profiles.narrow(int(WINDOW_SIGMAS * WIDE_FILTER * sigma_px + LARGEST_STEP_PX))
+        core_px = np.sqrt(max((2.0 * profiles.core_sigma_px(centre)) ** 2 - HALVING_PX2, 0.0))
+        sigma_px = float(np.clip(core_px, LEAST_SIGMA_PX, LARGEST_SIGMA_PX))
+    column = np.empty(len(ridges.row))
+    for branch in np.unique(ridges.branch):
+        rows, known = ridges.branch == branch, own.branch == branch
+        column[rows] = _interpolate(ridges.row[rows], 2.0 * own.row[known] + 0.5, 2.0 * centre[known] + 0.5)
+    return replace(ridges, column=column), sigma_px
+
+
+def _refine(profiles: _Profiles, course: Ridges, sigma_px: float, spacing_px: int) -> LineImage:
+    centre = course.column
     score, slope = profiles.answer(centre, sigma_px)
     wide_score, wide_slope = profiles.answer(centre, WIDE_FILTER * sigma_px)
     kept = _mark_lit(score, slope, about_course=True)
-    groups, blocks = _Groups(ridges, spacing_px), _Groups(ridges, BLOCK_PX)
+    groups, blocks = _Groups(course, spacing_px), _Groups(course, BLOCK_PX)
     count = groups.add(kept)
     clipped = groups.mean(profiles.clipped_share(centre, sigma_px), kept)
     weight = np.where(kept, slope, 0.0)
@@ -267,7 +279,7 @@ def _refine(profiles: _Profiles, ridges: Ridges, spacing_px: int) -> LineImage:
     )
     good = (count >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
     x = groups.add(weight * centre) * over + shift - seen_px
-    y = groups.add(weight * ridges.row) * over
+    y = groups.add(weight * course.row) * over
     for branch in np.unique(groups.branch[good]):
         own = good & (groups.branch == branch)
         x[own], variance[own] = smooth_course(y[own], x[own], variance[own])

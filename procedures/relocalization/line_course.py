@@ -36,7 +36,7 @@ def smooth_course(along: Array, across: Array, variance: Array) -> tuple[Array, 
     noise = bends.T @ (variance[:, None] * bends)
     bend = bends.T @ across
     course[inner, inner] *= np.where(_is_corner(bend / np.sqrt(np.diagonal(noise))), FREE, 1.0)
-    size, axes = eigh(course, noise)
+    size, axes = eigh(course, noise, check_finite=False, overwrite_a=True, overwrite_b=True)
     seen = axes.T @ bend
     share = 1.0 / (ROUGHNESS[:, None] * np.maximum(size, 0.0) * np.mean(variance) + 1.0)  # of the noise
     square = PRIOR_CENTRES + share @ seen**2

@@ -58,10 +58,10 @@ class LinePoints:
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Matches: number of the left centre, branches, places (n,) and standard deviations in level images."""
+    """Matches: number of the left centre, that of both branches as a pair, points, covariance and glow."""
 
     left: NDArray[np.int64]
-    branches: NDArray[np.int64]
+    pair: NDArray[np.int64]
     points_mm: Array
     covariance_mm2: Array
     glow_mm: Array
@@ -229,18 +229,17 @@ def _match(level: _LevelHead, left: _LevelLine, right: _LevelLine) -> _Candidate
         axis=1,
     )
     covariance = (jacobian * variance[:, None, :]) @ jacobian.transpose(0, 2, 1)
-    branches = np.stack([left.branch[met], partner], axis=1)
+    pair = left.branch[met] * (int(right.branch.max(initial=0)) + 1) + partner
     deeper = level.axes[2] @ (jacobian[:, :, 0].T * left.glow[met] + jacobian[:, :, 1].T * glow)
-    return _Candidates(met, branches, points, 0.5 * (covariance + covariance.transpose(0, 2, 1)), deeper)
+    return _Candidates(met, pair, points, 0.5 * (covariance + covariance.transpose(0, 2, 1)), deeper)
 
 
 def _vote(candidates: _Candidates) -> LightPlane:
     """Return the plane that most left centres share, fitted to those that do."""
-    pairs = np.unique(candidates.branches, axis=0)
     best: Mask = np.ones(len(candidates.left), bool)
     most = 0
-    for pair in pairs:
-        own = (candidates.branches == pair).all(axis=1)
+    for pair in np.unique(candidates.pair):
+        own = candidates.pair == pair
         if own.sum() < FEWEST_POINTS:
             continue
         near = np.abs(fit_plane(candidates.points_mm[own]).distance_mm(candidates.points_mm))
