@@ -74,7 +74,8 @@ def _crop_to_light(small: GreyImage) -> tuple[int, GreyImage]:
     if not len(lit):
         return 0, small
     first = max(int(lit[0]) - WIDEST, 0)
-    return first, np.ascontiguousarray(small[:, first : int(lit[-1]) + WIDEST])
+    near: GreyImage = np.ascontiguousarray(small[:, first : int(lit[-1]) + WIDEST])  # type: ignore[assignment]  # NumPy widens the dtype
+    return first, near
 
 
 def runs_along_rows(small: GreyImage) -> bool:

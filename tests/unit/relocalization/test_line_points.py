@@ -97,7 +97,8 @@ def test_points_are_lifted_by_as_much_as_the_glow_beside_the_line_says_it_lies_t
         for line, seen in zip((left, right), deeper, strict=True)
     ]
 
-    found, plain = (triangulate_line(*lines, eyes.calibration) for lines in (glowing, (left, right)))
+    found = triangulate_line(glowing[0], glowing[1], eyes.calibration)
+    plain = triangulate_line(left, right, eyes.calibration)
 
     assert found.glow_mm == pytest.approx(DEPTH_OVER_GLOW * 0.02, rel=0.05)
     np.testing.assert_allclose(plain.points_mm[:, 2] - found.points_mm[:, 2], found.glow_mm, rtol=0.02)
