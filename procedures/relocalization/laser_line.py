@@ -34,6 +34,7 @@ from procedures.relocalization.grey_image import (
     validate_image,
 )
 from procedures.relocalization.line_course import smooth_course
+from procedures.relocalization.line_profiles import LineProfiles
 from procedures.relocalization.line_ridges import HALVINGS, Ridges, find_ridges, runs_along_rows
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import MAD_TO_SIGMA, median
@@ -43,9 +44,6 @@ BLOCK_PX = 8  # of rows whose scatter is looked at: a grain of speckle is 2 px
 FIRST_SIGMA_PX, LEAST_SIGMA_PX, LARGEST_SIGMA_PX = 8.0, 1.5, 12.0  # of the filter
 WINDOW_SIGMAS = 3.0
 HALVING_PX2 = 0.5  # variance that halving the image and whole columns of it add to the width
-WIDTH_SAMPLING = 3  # every third row tells the width
-EDGE_PX = 4  # at either end of a profile, for the level of the light beside the line
-WIDTH_OVER_SIGMA = 2.355  # of a Gaussian at half height
 WIDE_FILTER = 1.6  # over the usual one, for the asymmetry
 ASYMMETRY_SHARE = 0.5  # of the shift between both filters; of the error that a tail on one side leaves
 CLIPPED_SHARE = 0.05  # of the filter's width: error of a centre whose whole core is clipped
@@ -65,8 +63,6 @@ LARGEST_DEVIATION_PX = 2.0
 SATURATED_SHARE = 0.5  # of the image
 TINY = 1e-12
 GAUSSIAN_SLOPE = 0.5 * np.sqrt(np.pi)  # of the filter's answer, on a line of its width and unit height
-
-Narrow = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -112,7 +108,7 @@ def measure_line(lit: AreaImage, dark: AreaImage | None = None, *, spacing_px: i
         _refuse(grey, ridges)
     course, sigma_px = _follow(half, ridges, spacing_px)
     half_px = int(WINDOW_SIGMAS * WIDE_FILTER * sigma_px)
-    line = _refine(_Profiles(grey, light, room, course, half_px), course, sigma_px, spacing_px)
+    line = _refine(LineProfiles(grey, light, room, course, half_px), course, sigma_px, spacing_px)
     if not len(line.branch):
         _refuse(grey, ridges)
     if turned:
@@ -154,89 +150,12 @@ def _refuse(grey: GreyImage, ridges: Ridges) -> None:
     )
 
 
-class _Profiles:
-    """Windows across the line, one a row: light, columns, and the filter's answers at the present centres."""
-
-    def __init__(
-        self, grey: GreyImage, light: GreyImage, room: GreyImage | None, ridges: Ridges, half_px: int
-    ) -> None:
-        half_px = min(half_px, (light.shape[1] - 1) // 2)
-        start = np.clip(np.rint(ridges.column).astype(np.int64) - half_px, 0, None)
-        start = np.minimum(start, light.shape[1] - 2 * half_px - 1)
-        columns = start[:, None] + np.arange(2 * half_px + 1)
-        places = ridges.row[:, None] * light.shape[1] + columns
-        profile = light.ravel().take(places).astype(np.float32)
-        ends = 0.5 * (profile[:, :EDGE_PX].mean(axis=1) + profile[:, -EDGE_PX:].mean(axis=1))
-        self.light = profile - ends[:, None]
-        bright = grey.ravel().take(places)
-        self._clipped = bright >= highest_grey(grey) if bright.max() >= highest_grey(grey) else None
-        self._columns = columns.astype(np.float32)
-        self._room = None if room is None else room.ravel().take(places)
-
-    def answer(self, centre: Array, sigma_px: float) -> tuple[Array, Array]:
-        """Return what each row shows more on the right, and how that grows per px with the centre."""
-        t, square, bell = self._weigh(centre, sigma_px)
-        score = np.einsum("ij,ij->i", t, bell).astype(float)
-        slope = (bell.sum(axis=1) - np.einsum("ij,ij->i", square, bell)).astype(float) / sigma_px
-        return score, slope
-
-    def _weigh(self, centre: Array, sigma_px: float) -> tuple[Narrow, Narrow, Narrow]:
-        """Return places in units of the filter's width, their squares, and the light under its bell."""
-        t = self._columns - centre[:, None].astype(np.float32)
-        t *= np.float32(1.0 / sigma_px)
-        square = t * t
-        bell = np.exp(np.float32(-0.5) * square)
-        bell *= self.light
-        return t, square, bell
-
-    def room(self, centre: Array, sigma_px: float) -> tuple[Array, Array, Array]:
-        """Return the room's light in each row by the filter's score, by its bell, and the bell's sum."""
-        if self._room is None:
-            none = np.zeros(len(centre))
-            return none, none, none
-        t, _, bell = self._weigh(centre, sigma_px)
-        seen = bell * self._room
-        score = np.einsum("ij,ij->i", t, seen)
-        return score.astype(float), seen.sum(axis=1).astype(float), bell.sum(axis=1).astype(float)
-
-    def core_sigma_px(self, centre: Array) -> float:
-        """Return the width of the mean profile at half height, as a standard deviation."""
-        sampled = slice(None, None, WIDTH_SAMPLING)
-        offset = np.rint(self._columns[sampled] - centre[sampled, None]).astype(np.int64)
-        reach = int(np.abs(offset).max())
-        sums = np.bincount((offset + reach).ravel(), self.light[sampled].ravel())
-        counts = np.bincount((offset + reach).ravel())
-        mean = sums / np.maximum(counts, 1)
-        half = 0.5 * mean[max(0, reach - 1) : reach + 2].mean()
-        sides = [_first_below(mean[reach:], half), _first_below(mean[reach::-1], half)]
-        return sum(sides) / WIDTH_OVER_SIGMA
-
-    def clipped_share(self, centre: Array, sigma_px: float) -> Array:
-        """Return the saturated share of each row's core."""
-        if self._clipped is None:
-            return np.zeros(len(centre))
-        share = np.zeros(len(centre))
-        rows = np.flatnonzero(self._clipped.any(axis=1))
-        core = np.abs(self._columns[rows] - centre[rows, None]) < sigma_px
-        share[rows] = (self._clipped[rows] & core).sum(axis=1) / np.maximum(core.sum(axis=1), 1)
-        return share
-
-
-def _first_below(falling: Array, level: float) -> float:
-    """Return where values first fall below a level, interpolated."""
-    after = int(np.argmax(falling < level))
-    if not after:
-        return float(len(falling))
-    step = falling[after - 1] - falling[after]
-    return float(after - 1 + (falling[after - 1] - level) / step)
-
-
 def _follow(half: GreyImage, ridges: Ridges, spacing_px: int) -> tuple[Ridges, float]:
     """Return the course of the line, in straight pieces, and its width, from the image halved once."""
     own = replace(
         ridges, row=ridges.row[::2] // 2, column=0.5 * (ridges.column[::2] - 0.5), branch=ridges.branch[::2]
     )
-    profiles = _Profiles(half, half, None, own, int(0.5 * WINDOW_SIGMAS * LARGEST_SIGMA_PX))
+    profiles = LineProfiles(half, half, None, own, int(0.5 * WINDOW_SIGMAS * LARGEST_SIGMA_PX))
     short = _Groups(own, spacing_px // 4)
     centre, sigma_px = own.column, FIRST_SIGMA_PX
     for about_course in (False, True):
@@ -252,7 +171,7 @@ def _follow(half: GreyImage, ridges: Ridges, spacing_px: int) -> tuple[Ridges, f
     return replace(ridges, column=column), sigma_px
 
 
-def _refine(profiles: _Profiles, course: Ridges, sigma_px: float, spacing_px: int) -> LineImage:
+def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px: int) -> LineImage:
     centre = course.column
     score, slope = profiles.answer(centre, sigma_px)
     wide_score, wide_slope = profiles.answer(centre, WIDE_FILTER * sigma_px)
