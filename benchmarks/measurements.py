@@ -14,6 +14,7 @@ MEASUREMENTS = {
     "stereo": "stereo_head.stereo",
     "stereo-calibration": "stereo_head.stereo_calibration",
     "stereo-rate": "stereo_head.stereo_rate",
+    "laser-line": "stereo_head.line_speed",
     "tracker-frame": "mount.tracker_frame_calibration",
     "tool-tip": "mount.tool_tip_calibration",
     "ct": "scans.ct",

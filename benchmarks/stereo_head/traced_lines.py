@@ -3,9 +3,9 @@
     python -m benchmarks.stereo_head.traced_lines FOLDER [--keep JSON] [--pictures PNG]
 
 FOLDER holds views by `benchmarks/peers/line_tracer.py`; those without light from inside are left out where it
-is mixed in. Prints one row per kind of picture: error of the
-centre in px with its normalized square, and of the points in mm, as they are and about their mean offset
-along the tool axis in each view. `--pictures` writes a crop of each kind.
+is mixed in. Prints one row per kind of picture: error of the centre in px with its normalized square, and of
+the points in mm, as they are and about their mean offset along the tool axis in each view; the depth that the
+glow beside the line told, and the normalized square of the depth. `--pictures` writes a crop of each kind.
 
 A view is linear light in parts, which are mixed here: lamps of the room, the line on the surface of the skin,
 and the line scattered inside. Speckle is drawn on top: a path tracer has no waves.
@@ -85,7 +85,10 @@ def main() -> None:
     files = sorted(options.folder.glob("*.npz"))
     rows: dict[str, dict[str, float]] = {}
     crops = []
-    print(f"{'skin':30} {'views':>5} {'px rms':>7} {'square':>7} {'mm rms':>7} {'offset':>7} {'about it':>8}")
+    print(
+        f"{'skin':30} {'views':>5} {'px rms':>7} {'square':>7} {'mm rms':>7} {'offset':>7} {'about it':>8}"
+        f" {'glow':>6} {'square':>6}"
+    )
     for kind in KINDS:
         row, views = measure_kind(files, kind)
         if not views:
@@ -98,6 +101,7 @@ def main() -> None:
             f"{kind.name:30} {len(views):5d} "
             + " ".join(f"{each:7.3f}" for each in figures)
             + f" {row['offset_mm']:7.3f} {row['point_rms_about_offset_mm']:8.3f}"
+            + f" {row['glow_mm']:6.3f} {row['depth_normalized_square']:6.2f}"
         )
     if options.keep:
         kept = {"views": [each.stem for each in files], "kinds": rows}
@@ -125,6 +129,7 @@ def measure_kind(files: list[Path], kind: Skin) -> tuple[dict[str, float], list[
     points = np.concatenate([each.point_errors_mm for each in views])
     depth = np.concatenate([each.point_errors_mm[:, 2] for each in views])
     about = [each.point_errors_mm - [0.0, 0.0, float(each.point_errors_mm[:, 2].mean())] for each in views]
+    deviations = np.concatenate([np.sqrt(each.points.covariance_mm2[:, 2, 2]) for each in views])
     row = {
         "views": len(views),
         "refused": refused,
@@ -134,6 +139,8 @@ def measure_kind(files: list[Path], kind: Skin) -> tuple[dict[str, float], list[
         "centre_normalized_square": float(squares.mean()),
         "point_rms_mm": _rms(np.linalg.norm(points, axis=1)),
         "offset_mm": float(depth.mean()),
+        "glow_mm": float(np.mean([each.points.glow_mm for each in views])),
+        "depth_normalized_square": float(np.mean((depth / deviations) ** 2)),
         "point_rms_about_offset_mm": _rms(np.linalg.norm(np.concatenate(about), axis=1)),
         "point_stated_mm": _rms(
             np.sqrt(

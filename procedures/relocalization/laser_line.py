@@ -3,14 +3,16 @@
 The centre is where the derivative of a Gaussian as wide as the line, laid across it, sees as much light on
 either side. Such a filter does not see even ambient light, nor the clipped top of a saturated line, and
 little of the halo of light that was scattered in skin. Rows are put together over some spacing along the
-line: one row sees a few grains of speckle only.
+line: one row sees a few grains of speckle only. `line_course` smooths what is left of them along the line.
 
 The standard deviation has three parts: the scatter of shorter blocks of rows, longer than a grain of speckle;
-the asymmetry of the profile, seen as the shift between two filters of different width; and the usual mottle
-of skin. Mottle shifts the line alike in both images, along the skin, so that no point leaves the surface.
+the asymmetry of the profile, seen as the shift between two filters of different width; and the mottle of
+skin. Mottle shifts the line alike in both images, along the skin, so that no point leaves the surface. A
+picture without the line shows it under other light, and the shift is taken out as far as it does.
 
-Light that was scattered inside skin comes back from below its surface. Both images show the line too deep,
-and no profile tells by how much. It is an offset of the surface, which the registration estimates.
+Light that was scattered inside skin comes back from below its surface, most of it beside the line. `glow_px`
+is how far a wider filter sees it from the centre: its sign differs between the images, and `line_points`
+tells from it how much too deep the line appears.
 """
 
 from __future__ import annotations
@@ -20,7 +22,6 @@ from typing import Self
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from procedures.relocalization.errors import BadImage, NoLine, Saturated
@@ -32,6 +33,8 @@ from procedures.relocalization.grey_image import (
     single_threaded,
     validate_image,
 )
+from procedures.relocalization.line_course import smooth_course
+from procedures.relocalization.line_profiles import LineProfiles
 from procedures.relocalization.line_ridges import HALVINGS, Ridges, find_ridges, runs_along_rows
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import MAD_TO_SIGMA, median
@@ -40,15 +43,17 @@ SPACING_PX = 32  # of the centres along the line: 0.7 mm at the tool centre poin
 BLOCK_PX = 8  # of rows whose scatter is looked at: a grain of speckle is 2 px
 FIRST_SIGMA_PX, LEAST_SIGMA_PX, LARGEST_SIGMA_PX = 8.0, 1.5, 12.0  # of the filter
 WINDOW_SIGMAS = 3.0
-WIDTH_SAMPLING = 3  # every third row tells the width
-EDGE_PX = 4  # at either end of a profile, for the level of the light beside the line
-WIDTH_OVER_SIGMA = 2.355  # of a Gaussian at half height
+HALVING_PX2 = 0.5  # variance that halving the image and whole columns of it add to the width
 WIDE_FILTER = 1.6  # over the usual one, for the asymmetry
 ASYMMETRY_SHARE = 0.5  # of the shift between both filters; of the error that a tail on one side leaves
 CLIPPED_SHARE = 0.05  # of the filter's width: error of a centre whose whole core is clipped
 # Relative change of the reflectance of skin across the line: it shifts the centre by the line's variance
 # times this, and leaves no sign. Fitted to path-traced skin mottled by 10 % in blotches of all sizes (U).
 MOTTLE_PER_PX = 0.006
+FINE_MOTTLE = 0.5  # share of its variance in blotches that are new in the next group of rows
+UNSEEN_MOTTLE = 0.15  # share of the mottle that a picture without the line leaves at best
+# Shift over that by usual mottle: beyond, it is the edge of a shadow or lamp, which does not move the line.
+LARGEST_MOTTLE = 1.3
 LARGEST_STEP_PX = 12.0  # from the rough centre, at once
 LEAST_LIGHT = 0.2  # of the usual curvature of the profile; with less, hair hides the line in this row
 OUTLIER_SIGMAS, OUTLIER_FLOOR_PX = 4.0, 0.3
@@ -56,6 +61,7 @@ LEAST_ROWS = 0.5  # of a spacing
 POOLED = 5  # centres whose scatter is put together: four blocks alone say little
 LARGEST_DEVIATION_PX = 2.0
 SATURATED_SHARE = 0.5  # of the image
+TINY = 1e-12
 GAUSSIAN_SLOPE = 0.5 * np.sqrt(np.pi)  # of the filter's answer, on a line of its width and unit height
 
 
@@ -65,7 +71,8 @@ class LineImage:
 
     `deviation_px` (n, 2) is one standard deviation, as a vector across the line: along it a centre is where
     it is by definition. `branch` (n,) numbers the pieces. `width_px` (n,) is the standard deviation of the
-    profile, `grey` (n,) how far it stands out, `clipped` (n,) the saturated share of its core.
+    profile, `grey` (n,) how far it stands out, `clipped` (n,) the saturated share of its core, `glow_px`
+    (n, 2) the vector from the centre to that by a wider filter.
     """
 
     centres_px: Array
@@ -74,6 +81,7 @@ class LineImage:
     width_px: Array
     grey: Array
     clipped: Array
+    glow_px: Array
 
     def with_offset(self, x_px: float, y_px: float) -> Self:
         """Return the line in pixels of the whole sensor, given the corner of the area."""
@@ -88,18 +96,28 @@ def measure_line(lit: AreaImage, dark: AreaImage | None = None, *, spacing_px: i
     """
     grey: GreyImage = validate_image(lit.pixels)
     light = grey if dark is None else _subtract(lit, dark)
-    small = halve_image(light, HALVINGS)
+    room = None if dark is None else dark.pixels
+    half = halve_image(light, 1)
+    small = halve_image(half, HALVINGS - 1)
     turned = runs_along_rows(small)
     if turned:
-        grey, light, small = (_transposed(each) for each in (grey, light, small))
+        grey, light, half, small = (_transposed(each) for each in (grey, light, half, small))
+        room = None if room is None else _transposed(room)
     ridges = find_ridges(small)
     if not len(ridges.row):
         _refuse(grey, ridges)
-    line = _refine(grey, light, ridges, spacing_px)
+    course, sigma_px = _follow(half, ridges, spacing_px)
+    half_px = int(WINDOW_SIGMAS * WIDE_FILTER * sigma_px)
+    line = _refine(LineProfiles(grey, light, room, course, half_px), course, sigma_px, spacing_px)
     if not len(line.branch):
         _refuse(grey, ridges)
     if turned:
-        line = replace(line, centres_px=line.centres_px[:, ::-1], deviation_px=line.deviation_px[:, ::-1])
+        line = replace(
+            line,
+            centres_px=line.centres_px[:, ::-1],
+            deviation_px=line.deviation_px[:, ::-1],
+            glow_px=line.glow_px[:, ::-1],
+        )
     return line.with_offset(lit.offset_x_px, lit.offset_y_px)
 
 
@@ -132,101 +150,76 @@ def _refuse(grey: GreyImage, ridges: Ridges) -> None:
     )
 
 
-class _Profiles:
-    """Windows across the line, one a row: light, columns, and the filter's answers at the present centres."""
-
-    def __init__(self, grey: GreyImage, light: GreyImage, ridges: Ridges, half_px: int) -> None:
-        start = np.clip(np.rint(ridges.column).astype(np.int64) - half_px, 0, None)
-        start = np.minimum(start, light.shape[1] - 2 * half_px - 1)
-        width_px = 2 * half_px + 1
-        at = ridges.row, start
-        profile = sliding_window_view(light, width_px, axis=1)[at].astype(np.float32)
-        ends = 0.5 * (profile[:, :EDGE_PX].mean(axis=1) + profile[:, -EDGE_PX:].mean(axis=1))
-        self.light = profile - ends[:, None]
-        clipped = sliding_window_view(grey, width_px, axis=1)[at] >= highest_grey(grey)
-        self._clipped = clipped if clipped.any() else None
-        self._columns = (start[:, None] + np.arange(width_px)).astype(np.float32)
-
-    def answer(self, centre: Array, sigma_px: float) -> tuple[Array, Array]:
-        """Return what each row shows more on the right, and how that grows per px with the centre."""
-        t = (self._columns - centre[:, None].astype(np.float32)) / np.float32(sigma_px)
-        square = t * t
-        bell = np.exp(np.float32(-0.5) * square) * self.light
-        score = np.einsum("ij,ij->i", t, bell).astype(float)
-        slope = (bell.sum(axis=1) - np.einsum("ij,ij->i", square, bell)).astype(float) / sigma_px
-        return score, slope
-
-    def core_sigma_px(self, centre: Array) -> float:
-        """Return the width of the mean profile at half height, as a standard deviation."""
-        sampled = slice(None, None, WIDTH_SAMPLING)
-        offset = np.rint(self._columns[sampled] - centre[sampled, None]).astype(np.int64)
-        reach = int(np.abs(offset).max())
-        sums = np.bincount((offset + reach).ravel(), self.light[sampled].ravel())
-        counts = np.bincount((offset + reach).ravel())
-        mean = sums / np.maximum(counts, 1)
-        half = 0.5 * mean[max(0, reach - 1) : reach + 2].mean()
-        sides = [_first_below(mean[reach:], half), _first_below(mean[reach::-1], half)]
-        return float(np.clip(sum(sides) / WIDTH_OVER_SIGMA, LEAST_SIGMA_PX, LARGEST_SIGMA_PX))
-
-    def clipped_share(self, centre: Array, sigma_px: float) -> Array:
-        """Return the saturated share of each row's core."""
-        if self._clipped is None:
-            return np.zeros(len(centre))
-        core = np.abs(self._columns - centre[:, None]) < sigma_px
-        return np.asarray((self._clipped & core).sum(axis=1) / np.maximum(core.sum(axis=1), 1))
-
-
-def _first_below(falling: Array, level: float) -> float:
-    """Return where values first fall below a level, interpolated."""
-    after = int(np.argmax(falling < level))
-    if not after:
-        return float(len(falling))
-    step = falling[after - 1] - falling[after]
-    return float(after - 1 + (falling[after - 1] - level) / step)
-
-
-def _refine(grey: GreyImage, light: GreyImage, ridges: Ridges, spacing_px: int) -> LineImage:
-    half_px = min(int(WINDOW_SIGMAS * LARGEST_SIGMA_PX), (light.shape[1] - 1) // 2)
-    profiles = _Profiles(grey, light, ridges, half_px)
-    centre, sigma_px = ridges.column, FIRST_SIGMA_PX
-    short = _Groups(ridges, spacing_px // 2)
+def _follow(half: GreyImage, ridges: Ridges, spacing_px: int) -> tuple[Ridges, float]:
+    """Return the course of the line, in straight pieces, and its width, from the image halved once."""
+    own = replace(
+        ridges, row=ridges.row[::2] // 2, column=0.5 * (ridges.column[::2] - 0.5), branch=ridges.branch[::2]
+    )
+    profiles = LineProfiles(half, half, None, own, int(0.5 * WINDOW_SIGMAS * LARGEST_SIGMA_PX))
+    short = _Groups(own, spacing_px // 4)
+    centre, sigma_px = own.column, FIRST_SIGMA_PX
     for about_course in (False, True):
-        score, slope = profiles.answer(centre, sigma_px)
+        score, slope = profiles.answer(centre, 0.5 * sigma_px)
         kept = _mark_lit(score, slope, about_course=about_course)
         centre = short.smooth(centre, score, slope, kept)
-        sigma_px = profiles.core_sigma_px(centre)
+        core_px = np.sqrt(max((2.0 * profiles.core_sigma_px(centre)) ** 2 - HALVING_PX2, 0.0))
+        sigma_px = float(np.clip(core_px, LEAST_SIGMA_PX, LARGEST_SIGMA_PX))
+    column = np.empty(len(ridges.row))
+    for branch in np.unique(ridges.branch):
+        rows, known = ridges.branch == branch, own.branch == branch
+        column[rows] = _interpolate(ridges.row[rows], 2.0 * own.row[known] + 0.5, 2.0 * centre[known] + 0.5)
+    return replace(ridges, column=column), sigma_px
+
+
+def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px: int) -> LineImage:
+    centre = course.column
     score, slope = profiles.answer(centre, sigma_px)
     wide_score, wide_slope = profiles.answer(centre, WIDE_FILTER * sigma_px)
     kept = _mark_lit(score, slope, about_course=True)
-    groups, blocks = _Groups(ridges, spacing_px), _Groups(ridges, BLOCK_PX)
+    groups, blocks = _Groups(course, spacing_px), _Groups(course, BLOCK_PX)
+    count = groups.add(kept)
+    clipped = groups.mean(profiles.clipped_share(centre, sigma_px), kept)
     weight = np.where(kept, slope, 0.0)
     total = groups.add(weight)
-    over = 1.0 / np.maximum(total, 1e-12)
-    x = groups.add(weight * centre + np.where(kept, score, 0.0)) * over
-    y = groups.add(weight * ridges.row) * over
+    over = 1.0 / np.maximum(total, TINY)
     shift = groups.add(np.where(kept, score, 0.0)) * over
     wide = groups.add(np.where(kept, wide_score, 0.0)) / np.maximum(
-        groups.add(np.where(kept, wide_slope, 0.0)), 1e-12
+        groups.add(np.where(kept, wide_slope, 0.0)), TINY
     )
-    clipped = groups.add(np.where(kept, profiles.clipped_share(centre, sigma_px), 0.0)) / np.maximum(
-        groups.add(kept), 1.0
-    )
+    seen_px = (1.0 - clipped) * _mottle_shift(groups, profiles.room(centre, sigma_px), score, kept) * over
+    mottle_px = MOTTLE_PER_PX * sigma_px**2
+    seen_px /= 1.0 + (seen_px / (LARGEST_MOTTLE * mottle_px)) ** 4
+    left_px = max(UNSEEN_MOTTLE * mottle_px, mottle_px - float(np.sqrt(np.mean(seen_px**2))))
     variance = (
         _scatter(groups, blocks, score, weight)
         + (ASYMMETRY_SHARE * (wide - shift)) ** 2
         + (CLIPPED_SHARE * sigma_px * clipped) ** 2
-        + (MOTTLE_PER_PX * sigma_px**2) ** 2
+        + FINE_MOTTLE * left_px**2
     )
-    good = (groups.add(kept) >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
-    height = total / np.maximum(groups.add(kept), 1.0) / GAUSSIAN_SLOPE
+    good = (count >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
+    x = groups.add(weight * centre) * over + shift - seen_px
+    y = groups.add(weight * course.row) * over
+    for branch in np.unique(groups.branch[good]):
+        own = good & (groups.branch == branch)
+        x[own], variance[own] = smooth_course(y[own], x[own], variance[own])
+    deviation = np.sqrt(variance + (1.0 - FINE_MOTTLE) * left_px**2)
+    none = np.zeros(len(x))
     return LineImage(
         centres_px=np.column_stack([x, y])[good],
-        deviation_px=np.column_stack([np.sqrt(variance), np.zeros(len(x))])[good],
+        deviation_px=np.column_stack([deviation, none])[good],
         branch=groups.branch[good],
         width_px=np.full(int(good.sum()), sigma_px),
-        grey=height[good],
+        grey=(total / np.maximum(count, 1.0) / GAUSSIAN_SLOPE)[good],
         clipped=clipped[good],
+        glow_px=np.column_stack([wide - shift, none])[good],
     )
+
+
+def _mottle_shift(groups: _Groups, room: tuple[Array, Array, Array], score: Array, kept: Mask) -> Array:
+    """Return what mottle adds to the score of each group, as the room's light shows the same skin."""
+    room_score, room_light, light = (groups.add(np.where(kept, each, 0.0)) for each in room)
+    mean = room_light / np.maximum(light, TINY)
+    return np.asarray(room_score / np.maximum(mean, TINY) - groups.add(np.where(kept, score, 0.0)))
 
 
 class _Groups:
@@ -236,7 +229,8 @@ class _Groups:
         first = np.flatnonzero(np.diff(ridges.branch, prepend=-1))
         start = np.repeat(ridges.row[first], np.diff(np.append(first, len(ridges.row))))
         key = ridges.branch * (int(ridges.row.max()) + 1) + (ridges.row - start) // rows
-        _, begins, self.of_row = np.unique(key, return_index=True, return_inverse=True)
+        is_first = np.diff(key, prepend=-1) != 0
+        begins, self.of_row = np.flatnonzero(is_first), np.cumsum(is_first) - 1
         self.branch = ridges.branch[begins]
         self._branch_of_row, self._row = ridges.branch, ridges.row.astype(float)
 
@@ -244,11 +238,15 @@ class _Groups:
         """Return the sum over each group."""
         return np.bincount(self.of_row, values, len(self.branch)).astype(float)
 
+    def mean(self, values: Array, kept: Mask) -> Array:
+        """Return the mean of the kept rows of each group, zero without any."""
+        return self.add(np.where(kept, values, 0.0)) / np.maximum(self.add(kept), 1.0)
+
     def smooth(self, centre: Array, score: Array, slope: Array, kept: Mask) -> Array:
         """Return the centre in each row on straight pieces between the means of the groups."""
         weight = np.where(kept, slope, 0.0)
         total = self.add(weight)
-        over = 1.0 / np.maximum(total, 1e-12)
+        over = 1.0 / np.maximum(total, TINY)
         x = self.add(weight * centre + np.where(kept, score, 0.0)) * over
         y = self.add(weight * self._row) * over
         course = centre.copy()

@@ -46,6 +46,7 @@ class Ridges:
 def find_ridges(small: GreyImage) -> Ridges:
     """Find the branches of a line that crosses the rows of an image, `HALVINGS` times halved; maybe none."""
     with single_threaded():
+        first, small = _crop_to_light(small)
         smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), sigmaX=ACROSS_SIGMA, sigmaY=ALONG_SIGMA)
         fine = (FINER_GREY * smooth).astype(np.uint16)
         ridge = cv2.subtract(fine, cv2.blur(fine, (WIDEST, 1)))
@@ -57,7 +58,7 @@ def find_ridges(small: GreyImage) -> Ridges:
         joined = cv2.dilate(is_peak.astype(np.uint8), np.ones((3, 3), np.uint8))
         _, labels = cv2.connectedComponents(joined, connectivity=8)
     rows, columns = np.nonzero(is_peak)
-    branches = _trace_branches(rows, columns, labels[rows, columns], 2**HALVINGS)
+    branches = _trace_branches(rows, columns + first, labels[rows, columns], 2**HALVINGS)
     strongest, limit = float(ridge.max()) / FINER_GREY, limit / FINER_GREY
     if not branches:
         none = np.zeros(0, np.int64)
@@ -65,6 +66,16 @@ def find_ridges(small: GreyImage) -> Ridges:
     row, column = (np.concatenate(each) for each in zip(*branches, strict=True))
     branch = np.repeat(np.arange(len(branches)), [len(each[0]) for each in branches])
     return Ridges(row, column, branch, strongest, limit)
+
+
+def _crop_to_light(small: GreyImage) -> tuple[int, GreyImage]:
+    """Return the columns, and the first of them, within which any pixel may belong to a line."""
+    lit = np.flatnonzero(small.max(axis=0) > CONTRAST_FLOOR * highest_grey(small))
+    if not len(lit):
+        return 0, small
+    first = max(int(lit[0]) - WIDEST, 0)
+    near: GreyImage = np.ascontiguousarray(small[:, first : int(lit[-1]) + WIDEST])  # type: ignore[assignment]  # NumPy widens the dtype
+    return first, near
 
 
 def runs_along_rows(small: GreyImage) -> bool:

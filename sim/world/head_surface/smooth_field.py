@@ -33,8 +33,10 @@ class SmoothField:
 
     def at(self, points_mm: Vectors) -> Array:
         """Return the field (n,) at points (n, 3)."""
-        waves = np.cos(np.asarray(points_mm) @ self._waves + self._phases)
-        return np.asarray(waves.sum(axis=1) * np.sqrt(2.0 / WAVES))
+        phases = np.asarray(points_mm) @ self._waves + self._phases
+        # Single precision is many times faster, and wrong by a millionth.
+        waves = np.cos(phases.astype(np.float32))
+        return np.asarray(waves.sum(axis=1, dtype=float) * np.sqrt(2.0 / WAVES))
 
 
 @lru_cache(maxsize=16)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.relocalization.laser_line import LineImage
 from procedures.relocalization.light_plane import LineRecord, fit_plane, record_line
-from procedures.relocalization.line_points import LinePoints, triangulate_line
+from procedures.relocalization.line_points import DEPTH_OVER_GLOW, LinePoints, triangulate_line
 from procedures.relocalization.triangulation import camera_model
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import StereoHeadCalibration
@@ -52,7 +52,9 @@ class Head:
         centres[:, 0] += sigma_px * self._random.standard_normal(len(centres))
         deviation = np.tile([max(sigma_px, 1e-3), 0.0], (len(centres), 1))
         ones = np.ones(len(centres))
-        return LineImage(centres, deviation, branch, 5.0 * ones, 100.0 * ones, 0.0 * ones)
+        return LineImage(
+            centres, deviation, branch, 5.0 * ones, 100.0 * ones, 0.0 * ones, np.zeros((len(centres), 2))
+        )
 
     def scan(self, *pieces: Array, sigma_px: float = 0.0) -> LinePoints:
         left, right = (self.see(side, *pieces, sigma_px=sigma_px) for side in (0, 1))
@@ -84,6 +86,23 @@ def test_the_covariance_is_as_large_as_the_scatter_off_the_line(eyes: Head) -> N
         squares.append(np.einsum("ni,nij,nj->n", across, inverse, across))
 
     assert 0.7 < np.mean(np.concatenate(squares)) / 2.0 < 1.3
+
+
+def test_points_are_lifted_by_as_much_as_the_glow_beside_the_line_says_it_lies_too_deep(eyes: Head) -> None:
+    true = on_head()
+    left, right = (eyes.see(side, true) for side in (0, 1))
+    deeper = [eyes.see(side, true + np.array([0.0, 0.0, 0.02])).centres_px for side in (0, 1)]
+    glowing = [
+        replace(line, glow_px=(seen - line.centres_px) * [1.0, 0.0])
+        for line, seen in zip((left, right), deeper, strict=True)
+    ]
+
+    found = triangulate_line(glowing[0], glowing[1], eyes.calibration)
+    plain = triangulate_line(left, right, eyes.calibration)
+
+    assert found.glow_mm == pytest.approx(DEPTH_OVER_GLOW * 0.02, rel=0.05)
+    np.testing.assert_allclose(plain.points_mm[:, 2] - found.points_mm[:, 2], found.glow_mm, rtol=0.02)
+    assert plain.glow_mm == 0.0
 
 
 def test_both_pieces_at_the_edge_of_an_ear_are_matched_by_their_plane(eyes: Head) -> None:
