@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,3 +87,24 @@ def test_an_error_of_the_arm_that_spheres_and_target_share_cancels(heads, scan_o
     target = DEEP_MM[0]
     assert shared.predict(target).rms_mm > 0.6
     assert shared.predict(target, (off,)).rms_mm == pytest.approx(alone.predict(target).rms_mm, rel=0.1)
+
+
+def test_what_the_arm_errs_at_spheres_and_target_alike_is_made_up_for(heads, scan_of):
+    errors, without, predicted = [], [], []
+    for seed in range(8):
+        made = scan_of(heads[seed % 2], 700 + seed, misfit_mm=0.1)
+        looks = len(np.unique(made.scan.look))
+        alike = SharedErrors("mount", np.zeros((looks + 3, 3, 3)), np.eye(3) * 0.5)
+        alike.at_spheres_mm[looks:] = np.eye(3) * 0.5  # in the posture of the target, not at the skin
+        off_mm = 0.5 * np.random.default_rng(seed).normal(size=3)
+        spheres = look_at(made, 3, seed)
+        spheres = replace(spheres, physical_mm=spheres.physical_mm - off_mm)
+        found = register_surface(made.scan, heads[seed % 2], made.start, spheres=spheres, arm=(alike,))
+        correction_mm, limit_mm = found.correct((alike,))
+        assert np.linalg.norm(correction_mm) < limit_mm
+        pose_mm = made.errors_mm(found.robot_from_ct, DEEP_MM[:1])[0]
+        without.append(float(np.sum((pose_mm + off_mm) ** 2)))
+        errors.append(float(np.sum((pose_mm + off_mm + correction_mm) ** 2)))
+        predicted.append(found.predict(DEEP_MM[0], (alike,)).rms_mm ** 2)
+    assert np.mean(errors) < 0.1 * np.mean(without), (errors, without)
+    assert 0.4 < np.mean(errors) / np.mean(predicted) < 2.5, (errors, predicted)
