@@ -55,7 +55,7 @@ from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
 from ronna_hw.text import format_count
-from ronna_hw.vectors import vector3
+from ronna_hw.vectors import Vector3, vector3
 
 # Sources of error: they are adjusted together.
 SKIN = "skin and its misfit, scan and arm"
@@ -97,7 +97,7 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
             robot_from_ct=FramedPose.of(found.robot_from_ct),
             pairs=len(found.spheres),
             fre_mm=float(np.sqrt(np.mean(kept**2))),
-            residuals_mm=found.sphere_residuals_mm.tolist(),
+            residuals_mm=() if looked is None else _residuals_by_sphere(looked, found),
             leave_one_out_mm=tuple(one.away_mm for one in found.spheres),
             predictions=predictions,
             two_way=verify_two_way(
@@ -213,6 +213,12 @@ def _learn_arm(
         corrections_mm=corrections_mm,
         correction_limits_mm=limits_mm,
     )
+
+
+def _residuals_by_sphere(looked: LookedPairs, found: SurfaceRegistration) -> tuple[Vector3, ...]:
+    """Return what is left at each sphere, on average over its looks, beside the errors of the arm."""
+    left_mm, numbers = found.sphere_residuals_mm + found.arm_at_spheres_mm, np.array(looked.fiducials)
+    return tuple(vector3(left_mm[numbers == one].mean(axis=0)) for one in np.unique(numbers))
 
 
 def _predict(
