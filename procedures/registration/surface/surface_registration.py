@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from procedures.registration.error_sources import LINE, SKIN, SPHERES
 from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
+from procedures.registration.surface.arm_at_target import FoundArm
 from procedures.registration.surface.checks import (
     CHANGED_MM,
     ChangedSkin,
@@ -36,7 +37,7 @@ from procedures.registration.surface.checks import (
 )
 from procedures.registration.surface.evidence import SCOUTS
 from procedures.registration.surface.misfit import LEAST_NOISE_MM, MISFITS, Misfit, MisfitModel, PoseMixture
-from procedures.registration.surface.prediction import SurfacePrediction
+from procedures.registration.surface.prediction import SurfacePrediction, mixture_limit_mm
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
@@ -53,6 +54,7 @@ from procedures.registration.surface.thinning import thin_points
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
 
+EXPLAINED = 0.999  # of the corrections for the arm, by its errors as stated
 MOST_STEPS = 12
 STILL = 1e-5  # mm and rad: a smaller step changes nothing
 FEWEST_POINTS = 30  # of a scan after thinning: five for each unknown
@@ -84,6 +86,7 @@ class SurfaceRegistration:
     sphere_noise_mm2: Array = field(repr=False)  # (3k, 3k) of the looks at spheres
     sphere_residuals_mm: Array
     spheres: tuple[SphereAlone, ...]
+    arm: FoundArm = field(repr=False)
 
     @property
     def misfit_mm(self) -> float:
@@ -94,6 +97,12 @@ class SurfaceRegistration:
     def misfit_length_mm(self) -> float:
         """Expected correlation length of the misfit."""
         return float(self.mixture.weights @ [one.length_mm for one in MISFITS])
+
+    @property
+    def arm_at_spheres_mm(self) -> Array:
+        """How far each look at a sphere (m, 3) was from where the arm says, as expected, robot frame."""
+        rows = self.along_mm[len(self.along_mm) - self.sphere_residuals_mm.size :]
+        return np.asarray((rows @ (self.mixture.weights @ self.arm.sizes)).reshape(-1, 3))
 
     def predict(self, target_ct_mm: ArrayLike, arm_at_target: Sources = ()) -> SurfacePrediction:
         """Predict the error at a target (3,) of the CT.
@@ -110,7 +119,24 @@ class SurfaceRegistration:
             covariances = (
                 covariances + crossed + np.swapaxes(crossed, 1, 2) + shared @ shared.T + independent_mm2
             )
-        return SurfacePrediction(self.mixture.weights, self.mixture.shifts @ slope.T, covariances)
+        offsets = self.mixture.shifts @ slope.T
+        if arm_at_target and self.spheres:
+            covariances = covariances - self.arm.covariances_mm2(shared)
+            corrections = self.arm.corrections_mm(shared)
+            offsets = offsets + corrections - self.mixture.weights @ corrections
+        return SurfacePrediction(self.mixture.weights, offsets, covariances)
+
+    def correct(self, arm_at_target: Sources) -> tuple[Array, float]:
+        """Return how far (3,) mm to send the arm beside a target for its error there, and the longest usual.
+
+        Zero without spheres: `predict` counts with it. The limit holds 999 of 1,000.
+        """
+        shared, _ = at_target(arm_at_target)
+        if not self.spheres:
+            return np.zeros(3), 0.0
+        weights, covariances = self.mixture.weights, self.arm.covariances_mm2(shared)
+        limit_mm = mixture_limit_mm(weights, np.zeros((len(weights), 3)), covariances, EXPLAINED)
+        return np.asarray(weights @ self.arm.corrections_mm(shared)), limit_mm
 
     def split(self, target_ct_mm: ArrayLike, arm_at_target: Sources = ()) -> dict[str, float]:
         """Return the mean square error in mm2 at a target by source; the sum is that of `predict`.
@@ -120,6 +146,8 @@ class SurfaceRegistration:
         target = validate_targets(target_ct_mm)[0]
         slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
         gains, weights = slope @ self.mixture.gains, self.mixture.weights  # (h, 3, rows)
+        if arm_at_target and self.spheres:  # what is made up for
+            gains = gains - at_target(arm_at_target)[0] @ self.arm.gains
         by_points, by_spheres = np.split(gains, [len(self.noise_mm2)], axis=2)
         shares = {LINE: float(weights @ np.sum(by_points**2 * self.noise_mm2, axis=(1, 2)))}
         if self.spheres:
@@ -166,7 +194,9 @@ def register_surface(
     side_proven = is_side_proven(found, used, thin.points_mm, thin.view_mm, surface, axes)
     used, changed, doubted = _judge_skin(found, used, thin, columns, axes, limits)
     coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
-    found, centre, mixture, along, judged = _adjust(found, used, thin, surface, columns, doubted, spheres)
+    found, centre, mixture, along, judged, of_arm = _adjust(
+        found, used, thin, surface, columns, doubted, spheres
+    )
     require_unmoved(judged)
     require_start(found.pose, start, axes)
     matrix = np.eye(4)
@@ -188,6 +218,7 @@ def register_surface(
         spheres.covariance_mm2,
         spheres.residuals_mm(found.pose).reshape(-1, 3),
         judged,
+        of_arm,
     )
     for target in targets:
         predicted = registration.predict(target)
@@ -280,7 +311,7 @@ def _adjust(
     columns: ErrorColumns,
     doubted: Sequence[ChangedSkin],
     spheres: LookedSpheres,
-) -> tuple[Settled, Array, PoseMixture, Array, tuple[SphereAlone, ...]]:
+) -> tuple[Settled, Array, PoseMixture, Array, tuple[SphereAlone, ...], FoundArm]:
     """Step to the mean of all hypotheses; return the pose, its centre, and the mixture about it.
 
     The slopes stay those of the first pose, with which the shared errors were projected: otherwise a turn of
@@ -296,4 +327,5 @@ def _adjust(
             break
         found = Settled.at(found.pose.moved(mean, centre), thin.points_mm, thin.view_mm, surface)
     judged = judge_spheres(model, jacobian, residuals, spheres)
-    return found, centre, replace(mixture, shifts=mixture.shifts - mean), along, judged
+    of_arm = FoundArm.of(model, jacobian, residuals, along)
+    return found, centre, replace(mixture, shifts=mixture.shifts - mean), along, judged, of_arm
