@@ -233,6 +233,18 @@ class Case:
         standing = (stored.record for stored in self._standing.values())
         return tuple(sorted((*self._superseded, *standing), key=_number))
 
+    def former(self, model: type[R]) -> tuple[Stored[R], ...]:
+        """Return the superseded results of a model, in order. Raises REC-001, REC-003."""
+        return results_of(model, sorted(self._superseded, key=_number))
+
+    def ancestor(self, record: Record, model: type[R]) -> Stored[R]:
+        """Return the nearest ancestor of a record that is of a model, valid or not. Raises PRO-001."""
+        kinds, records = stand_ins(model), {one.identifier: one for one in self.records}
+        for kind in kinds:
+            if (found := ancestor_of_kind(record, kind, records)) is not None:
+                return results_of(model, (found,))[0]
+        raise StepRefused(f"{record.identifier} does not descend from any {model.kind}")
+
     @property
     def valid_results(self) -> tuple[Stored[StepResult], ...]:
         """Valid results, in order."""

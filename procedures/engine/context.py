@@ -203,6 +203,14 @@ class StepContext:
         standing = self._standing(model)
         return standing[-1].result if standing else None
 
+    def former(self, model: type[R]) -> tuple[Stored[R], ...]:
+        """Return the superseded results of a model, oldest first, to compare with: they become no parents."""
+        return self._case.former(model)
+
+    def former_ancestor(self, record: Record, model: type[R]) -> Stored[R]:
+        """Return what a superseded record was computed from; it becomes no parent. Raises PRO-001."""
+        return self._case.ancestor(record, model)
+
     def stands(self, model: type[StepResult]) -> bool:
         """Whether any trajectory has a valid result of this model. Adds no parent.
 

@@ -112,7 +112,7 @@ def find_placed_scan(results: CaseResults) -> SurfaceScan | None:
         scanned = parent_of_kind(used.stored.record, ScannedSurface, by_name)
         if scanned is not None:
             (stored,) = results_of(ScannedSurface, [scanned])
-            return stored.result.scan.placed(used.result.robot_from_ct.transform.inverse())
+            return stored.result.scan.moved(used.result.robot_from_ct.transform.inverse())
     return None
 
 

@@ -24,7 +24,7 @@ from procedures.registration.surface.settling import NEAR_MM, Pose, Settled
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import thin_points
 from ronna_hw.arrays import Array, Mask
-from ronna_hw.frames import Transform
+from ronna_hw.frames import Frame, Transform
 
 COMMON_MM = 8.0  # from a point of the second scan to those of the first
 LEAST_COMMON = 30  # points: five for each unknown of a movement
@@ -44,6 +44,15 @@ class ScanComparison:
     robot_from_ct: Transform
     mixture: PoseMixture = field(repr=False)
 
+    @property
+    def moved_robot_from_ct(self) -> Transform:
+        """Pose robot <- CT of the head as the second scan found it."""
+        matrix = self.robot_from_ct.inverse().as_matrix()
+        pose = Pose(matrix[:3, :3], matrix[:3, 3]).moved(self.mixture.mean, self.centre_ct_mm)
+        moved = np.eye(4)
+        moved[:3, :3], moved[:3, 3] = pose.rotation, pose.translation_mm
+        return Transform.from_matrix(Frame.CT, Frame.ROBOT, moved).inverse()
+
     def movement_at(self, target_ct_mm: ArrayLike) -> tuple[Array, SurfacePrediction]:
         """Return how far a target moved, (3,) mm in the robot frame, and its error. Raises REG-001."""
         target = validate_targets(target_ct_mm)[0]
@@ -55,9 +64,16 @@ class ScanComparison:
 
 
 def compare_scans(
-    first: SurfaceScan, second: SurfaceScan, surface: Surface, robot_from_ct: Transform
+    first: SurfaceScan,
+    second: SurfaceScan,
+    surface: Surface,
+    robot_from_ct: Transform,
+    look_mm: float = 0.0,
 ) -> ScanComparison:
-    """Compare two scans of one head, registered by the first. Raises SRF-011 if they share too little."""
+    """Compare two scans of one head, registered by the first. Raises SRF-011 if they share too little.
+
+    `look_mm` is the standard deviation per axis of what the points of one look share, by the arm.
+    """
     matrix = robot_from_ct.inverse().as_matrix()
     pose, axes = Pose(matrix[:3, :3], matrix[:3, 3]), HeadAxes.of(surface)
     before = Settled.at(pose, first.points_mm, first.view_mm, surface)
@@ -72,11 +88,14 @@ def compare_scans(
     common = float(used.mean())
     difference = Settled(pose, after.places_mm, after.distances_mm - usual, after.normals, after.valid)
     own_noise = _along(after, thin) + noise_mm2
+    looks = np.unique(thin.look)[None, :, None] == thin.look[:, None, None]
+    both_mm = np.sqrt(2.0) * look_mm  # of a look in either scan
+    shared_mm = (both_mm * looks * (after.normals @ pose.rotation)[:, None, :]).reshape(len(thin), -1)
     changed: list[ChangedSkin] = []
     while True:
         centre = after.places_mm[used].mean(axis=0)
         jacobian = difference.jacobian(centre)[used]
-        model = MisfitModel.of(thin.points_mm[used], own_noise[used], np.zeros((used.sum(), 0)), SCOUTS)
+        model = MisfitModel.of(thin.points_mm[used], own_noise[used], shared_mm[used], SCOUTS)
         regions = weigh_regions(model, jacobian, difference, used, axes)
         clear = [one for one in regions if one.is_clear]
         if not clear or (used & ~clear[0].points).sum() < LEAST_COMMON:

@@ -1,4 +1,4 @@
-"""Errors in the registration of surfaces, SRF-001 to SRF-034."""
+"""Errors in the registration of surfaces, SRF-001 to SRF-035."""
 
 from __future__ import annotations
 
@@ -158,4 +158,11 @@ ARM_NOT_CALIBRATED = ErrorCode(
     RefusedError,
     "The arm has no calibration record: seen from many sides, the skin would look like another head.",
     "Calibrate the arm and name its record in the theatre file, or register by markers.",
+)
+
+CARRIED_DIFFERS = ErrorCode(
+    "SRF-035",
+    RefusedError,
+    "After a move of the clamp, the skin is not where its frame has carried the registration.",
+    "Go on with the next step: the landmarks are touched again, and the whole skin is scanned.",
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -91,15 +91,16 @@ class SurfaceScan:
         columns = {one.name: [getattr(part, one.name) for part in parts] for one in fields(cls)}
         return cls(**{name: np.concatenate(arrays) for name, arrays in columns.items()})
 
-    def placed(self, pose: Transform) -> Self:
-        """Return the scan in another frame."""
-        turn = pose.rotation_matrix
+    def moved(self, motion: Transform) -> Self:
+        """Return the scan as it would have been of a head that has moved, or as it is in another frame."""
+        turn = motion.rotation_matrix
         turned = turn @ self.covariance_mm2 @ turn.T
-        return replace(
-            self,
-            points_mm=pose.apply(self.points_mm),
+        return type(self)(
+            points_mm=motion.apply(self.points_mm),
             covariance_mm2=0.5 * (turned + turned.transpose(0, 2, 1)),
-            view_mm=pose.apply(self.view_mm),
+            look=self.look,
+            line=self.line,
+            view_mm=motion.apply(self.view_mm),
         )
 
     def select(self, rows: ArrayLike) -> Self:

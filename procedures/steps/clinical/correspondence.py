@@ -87,11 +87,14 @@ class TouchedPoint(Values):
 
 
 class SurfaceStart(Correspondence, kind="surface_start"):
-    """Coarse pose of a head without markers, by its landmarks."""
+    """Coarse pose of a head without markers, by its landmarks or by a former registration."""
 
     landmarks: tuple[TouchedPoint, ...] = Field(description="As touched, in this order.")
     turn_sd_rad: float = Field(description="Standard deviation of the pose's rotation.")
     place_sd_mm: float = Field(description="Standard deviation of its place.")
+    carried: str | None = Field(
+        default=None, description="Record of the former registration, if the frame on the clamp carried one."
+    )
 
     @property
     def start(self) -> Start:

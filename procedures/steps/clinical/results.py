@@ -349,6 +349,11 @@ class RegisteredBySurface(RegisteredRobot, kind="surface_registration"):
     side_proven: bool = Field(description="Whether the mirror image fits clearly worse.")
     changed: tuple[SkinRegion, ...] = Field(default=(), description="Regions left out: they have moved.")
     doubted: tuple[SkinRegion, ...] = Field(default=(), description="Regions that may have moved.")
+    carried: bool = Field(
+        default=False,
+        description="Whether a former registration was carried by the frame on the clamp, and corrected by a "
+        "few looks: what is said of the scan is of the former one.",
+    )
 
     @property
     def can_follow(self) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
@@ -15,11 +16,13 @@ from procedures.planning.visits import ArmSetting, Reached
 from procedures.registration.surface.errors import NO_STATIONS
 from procedures.registration.surface.stations import Station, choose_stations
 from procedures.registration.surface.surface import Surface
+from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.path_check import CheckedPaths, arm_setting_of, check_all_paths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.room import ROOM_READS
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.surface.carried_head import find_carried
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surroundings import READS
 from procedures.steps.conditions import needs_guide_unmounted
@@ -32,6 +35,8 @@ SCAN_S = 54.0  # theatre time of all looks and the ways to them
 # Safety against a look from which more is expected than its lines show (U).
 SEEN_MM = 12.0  # of the skin around the middle of a look: half of a line
 FEWEST_VIEWS = 8  # with fewer the scan would be refused for its coverage
+CARRIED_VIEWS, FEWEST_CARRIED = 6, 3  # of a head that its clamp has carried: enough for its movement
+BESIDE_MM = 6.0  # of a point scanned before: skin that a few looks may compare
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
@@ -40,21 +45,25 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     context.progress(0.0, "choosing looks at the skin")
     setting, skin = arm_setting_of(context), skin_of(context)
     places_mm = skin.points_mm
-    scanned = mark_scannable(skin)
+    scanned, most, fewest = mark_scannable(skin), VIEWS, FEWEST_VIEWS
+    if context.result(SurfaceStart).carried and (carried := find_carried(context)) is not None:
+        before_mm = setting.robot_from_ct.inverse().apply(carried.scan.points_mm)
+        apart_mm, _ = cKDTree(before_mm).query(places_mm, distance_upper_bound=BESIDE_MM)
+        scanned, most, fewest = scanned & np.isfinite(apart_mm), CARRIED_VIEWS, FEWEST_CARRIED
     branch = setting.kinematics.branch_of(setting.start_rad)
     found = choose_views(setting, branch, places_mm[scanned], skin.normals[scanned], CANDIDATES)
     targets_mm = [one.target_mm for one in context.result(CheckedPlan).plan.trajectories]
-    views = choose_by_error(setting, found, skin, np.array(targets_mm))
-    if len(views) < FEWEST_VIEWS:
+    views = choose_by_error(setting, found, skin, np.array(targets_mm), most)
+    if len(views) < fewest:
         raise NO_STATIONS(
-            "the arm can look at few places on the skin", limit=f"{FEWEST_VIEWS} looks", got=str(len(views))
+            "the arm can look at few places on the skin", limit=f"{fewest} looks", got=str(len(views))
         )
     context.progress(0.2, "checking every path")
     return check_all_paths(context, replace(setting, skin_looks=views))
 
 
 def choose_by_error(
-    setting: ArmSetting, views: Sequence[Reached], skin: Surface, targets_mm: Array
+    setting: ArmSetting, views: Sequence[Reached], skin: Surface, targets_mm: Array, most: int = VIEWS
 ) -> tuple[Transform, ...]:
     """Return the views that lower the expected error at the targets (n, 3), CT mm, most, as they are taken.
 
@@ -67,8 +76,9 @@ def choose_by_error(
         near = np.linalg.norm(points_mm - middle_mm, axis=1) < SEEN_MM
         stations.append(Station(points_mm[near], skin.normals[near], LOOK_S))
     best = choose_stations(stations, targets_mm, worth_mm_per_s=0.0).stations
-    chosen = [*best, *(number for number in range(len(views)) if number not in best)][:VIEWS]
-    tour = tour_views(setting, [views[number] for number in chosen], len(best), LOOK_S, SCAN_S)
+    chosen = [*best, *(number for number in range(len(views)) if number not in best)][:most]
+    needed = min(most, len(best))
+    tour = tour_views(setting, [views[number] for number in chosen], needed, LOOK_S, SCAN_S)
     return tuple(one.visit.pose for one in tour)
 
 

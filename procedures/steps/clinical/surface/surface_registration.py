@@ -50,6 +50,7 @@ from procedures.steps.clinical.results import (
 )
 from procedures.steps.clinical.room import ROOM_READS
 from procedures.steps.clinical.sphere_pairs import LookedPairs
+from procedures.steps.clinical.surface.carried_head import register_carried
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surface.skin_pictures import RESIDUALS_PICTURE, draw_residuals
 from procedures.steps.clinical.unnoticed import expect_unnoticed
@@ -78,6 +79,8 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
         )
     for before in (ImportedCt, SkinInCt):
         context.result(before)
+    if context.result(SurfaceStart).carried:
+        return register_carried(context)
     plan, scanned = context.result(CheckedPlan), context.result(ScannedSurface)
     looked = LookedPairs.of(context) if scanned.fiducials else None
     found = _register(context, scanned, looked)

@@ -27,6 +27,7 @@ from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.text import format_against_limit, format_count
@@ -40,9 +41,14 @@ MOST_APART_MM = 4.0 * LANDMARK_SD_MM
 
 
 def run(context: StepContext) -> Outcome[SurfaceStart]:
-    """Have the landmarks touched, and fit the head to them. Raises PRO-007, REG-013."""
+    """Have the landmarks touched, and fit the head to them, unless its clamp carries a former registration.
+
+    Raises PRO-007, REG-013.
+    """
     context.result(ImportedCt)
     room, plan = context.result(GlobalLocalization), context.result(CheckedPlan)
+    if (carried := find_carried(context)) is not None:
+        return start_carried(carried)
     volume, skin_mm = volume_of(context), skin_of(context).points_mm
     in_ct_mm = np.array([find_landmark(volume, skin_mm, LANDMARKS[one]) for one in TOUCHED])
     orders = {one: f"touch the {one} with the pointer, where it reaches furthest," for one in TOUCHED}

@@ -116,7 +116,7 @@ def test_a_theatre_that_cannot_scan_or_watch_the_head_is_refused_first() -> None
 def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     skin = SimpleNamespace(points_mm=np.zeros((4, 3)), normals=np.zeros((4, 3)))
     kinematics = SimpleNamespace(branch_of=lambda _joints: None)
-    plan = SimpleNamespace(plan=SimpleNamespace(trajectories=()))
+    plan = SimpleNamespace(plan=SimpleNamespace(trajectories=()), carried=None)
     context = SimpleNamespace(result=lambda _model: plan, progress=lambda _share, _text: None)
     monkeypatch.setattr(surface_paths, "skin_of", lambda _context: skin)
     monkeypatch.setattr(
