@@ -15,15 +15,15 @@ from starlette.responses import PlainTextResponse, Response
 
 from console.hub import Hub
 from console.scene.head_surface import build_head_stl, find_series_folder
-from procedures.engine.case import stand_ins
 from procedures.engine.case_view import CaseView
-from procedures.journal.results import StepResult
-from procedures.reporting.case_figures import CaseFigures, read_case_figures
+from procedures.reporting.case_figures import (
+    LOCALIZED,
+    MATCHED,
+    REGISTERED,
+    CaseFigures,
+    read_case_figures,
+)
 from procedures.reporting.files import LARGEST_PICTURE_BYTES
-from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.manifest import PICTURES_FOLDER
@@ -42,15 +42,11 @@ def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) ->
     }
     names = {step.partition(":")[0] for step in finished_steps}
 
-    def is_done(model: type[StepResult]) -> bool:
-        return not names.isdisjoint(stand_ins(model))
-
     def is_registered(target: str) -> bool:
-        kinds = stand_ins(RegisteredRobot)
-        return not finished_steps.isdisjoint({*kinds, *(f"{kind}:{target}" for kind in kinds)})
+        return not finished_steps.isdisjoint({*REGISTERED, *(f"{name}:{target}" for name in REGISTERED)})
 
-    is_matched, is_tracked = is_done(Correspondence), is_done(GlobalLocalization)
-    is_localized = is_done(Relocalization)
+    is_matched, is_tracked = bool(names & MATCHED), "global_localization" in names
+    is_localized = bool(names & LOCALIZED)
     return replace(
         figures,
         robot_from_ct=figures.robot_from_ct if is_matched else None,
@@ -66,13 +62,13 @@ def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) ->
         ),
         trajectories=figures.trajectories if is_matched else (),
         predictions=tuple(item for item in figures.predictions if is_registered(item.target)),
-        tables=figures.tables if is_done(RegisteredRobot) else (),
+        tables=figures.tables if names & REGISTERED else (),
         surface=figures.surface
         and figures.surface.known_by(
-            start=is_matched, scan=is_localized, registration=is_done(RegisteredRobot)
+            start=is_matched, scan=is_localized, registration=bool(names & REGISTERED)
         ),
         pictures=figures.pictures if is_localized else (),
-        cuts=figures.cuts if is_done(CheckedPlan) else (),
+        cuts=figures.cuts if "plan_check" in names else (),
         course=figures.course if view.number == latest.number else "",
     )
 

@@ -10,8 +10,7 @@ from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.operator.question import Picture, PredictedError
-from procedures.reporting.sections.surface import SURFACE_PICTURES
-from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, FULL_COLOUR_MM
+from procedures.reporting.sections.surface import SURFACE_PICTURES, caption_of_skin
 
 NOT_KEPT = "Name and identifier were shown to the operator; no record keeps them."
 
@@ -78,16 +77,6 @@ def _render_value(question: Questioned) -> str:
     if len(lines) < 2:
         return tag("p", "".join(lines), class_=shown_as)
     return tag("ul", "".join(tag("li", line) for line in lines), class_=shown_as)
-
-
-def caption_of_skin(name: str) -> str:
-    """Describe a picture of the skin by its name."""
-    if name.startswith(PurePath(COVERAGE_PICTURE).stem):
-        return "skin covered by the scan"
-    return (
-        f"points by their distance to the skin in the CT: blue inside, red outside, full colour from "
-        f"{FULL_COLOUR_MM:g} mm; rings are left out"
-    )
 
 
 def _render_picture(picture: Picture, *, is_first: bool) -> str:

@@ -9,13 +9,12 @@ from console.errors import UNRELIABLE_RUN
 from console.hub import Hub
 from console.panels.ct_planes import ct_planes
 from console.panels.html import evidence_table, head_row, table, tag, text
-from console.panels.question import caption_of_skin
 from procedures.engine.case_view import FAULT, FINDING, REFUSED, CaseView, Notice
 from procedures.engine.events import ScanProgress
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.operator.question import PredictedError
 from procedures.reporting.case_figures import CaseFigures
-from procedures.reporting.sections.surface import SURFACE_PICTURES, SurfaceSection
+from procedures.reporting.sections.surface import SURFACE_PICTURES, SurfaceSection, caption_of_skin
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.host.files import open_regular
 from ronna_hw.log_output import LOG_FILE

@@ -6,6 +6,7 @@ arm, the poses found by a path check. The stereo measurement itself is not known
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -241,4 +242,4 @@ def _rms_of_shift(sources: Iterable[SharedErrors | IndependentErrors]) -> float:
         else:
             of_mean = one.at_spheres_mm2.sum(axis=0) / len(one.at_spheres_mm2) ** 2
             square_mm2 += float(np.trace(one.at_target_mm2 + of_mean))
-    return float(square_mm2**0.5)
+    return math.sqrt(square_mm2)

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from procedures.engine.case import Stored, without_ancestors
+from procedures.engine.case import Stored, stand_ins, without_ancestors
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.journal.results import StepResult
 from procedures.operator.question import Evidence, PredictedError
@@ -30,6 +30,10 @@ from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from ronna_hw.evidence.manifest import PICTURES_FOLDER
 from ronna_hw.frames import Transform
 
+# Steps, by name, of a case with spheres or on the skin.
+MATCHED, LOCALIZED, REGISTERED = (
+    frozenset(stand_ins(model)) for model in (Correspondence, Relocalization, RegisteredRobot)
+)
 Point = tuple[float, float, float]
 R = TypeVar("R", bound=StepResult)
 

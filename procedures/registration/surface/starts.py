@@ -86,18 +86,18 @@ def pair_spheres(
     covariance = np.eye(3) * sizes_mm[:, None, None] ** 2
     image = np.vstack([landmarks_ct_mm, spheres_ct_mm])
     found: list[tuple[float, tuple[int, ...], Registration]] = []
-    for rows in product(*(one.tolist() for one in near)):
-        if len(set(rows)) == count:
-            fit = register(image, np.vstack([landmarks_mm, seen_mm[list(rows)]]), covariance_mm2=covariance)
+    for chosen in product(*(one.tolist() for one in near)):
+        if len(set(chosen)) == count:
+            fit = register(image, np.vstack([landmarks_mm, seen_mm[list(chosen)]]), covariance_mm2=covariance)
             square = float(np.sum((fit.residuals_mm / sizes_mm[:, None]) ** 2))
-            found.append((square, rows, fit))
+            found.append((square, chosen, fit))
     found.sort(key=lambda one: one[0])
     if not found or (len(found) > 1 and found[1][0] < found[0][0] + CLEARLY_OTHER):
         raise SPHERE_UNSEEN(
             "it cannot be told which reading of the tracker is which sphere",
             got=f"{len(set(np.concatenate(near).tolist()))} readings for {count}",
         )
-    _, rows, fit = found[0]
+    _, best, fit = found[0]
     away_mm = np.linalg.norm(fit.residuals_mm[-count:], axis=1)
     if away_mm.max() > FAR_FROM_PAIR_MM:
         raise SPHERE_UNSEEN(
@@ -105,7 +105,7 @@ def pair_spheres(
             limit=f"{FAR_FROM_PAIR_MM:g} mm",
             got=f"{away_mm.max():.1f} mm",
         )
-    pairs = tuple((number, int(row)) for number, row in enumerate(rows))
+    pairs = tuple(enumerate(best))
     return PairedSpheres(pairs, fit.between(Frame.ROBOT, Frame.CT), tuple(away_mm.tolist()))
 
 

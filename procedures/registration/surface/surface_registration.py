@@ -20,6 +20,7 @@ from scipy.spatial.transform import RigidTransform
 from procedures.registration.error_sources import LINE, SKIN, SPHERES
 from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
+from procedures.registration.surface.arm_at_target import FoundArm
 from procedures.registration.surface.bare_bone import open_where_bare
 from procedures.registration.surface.changed_skin import ChangedSkin, list_regions
 from procedures.registration.surface.checks import (
@@ -43,7 +44,7 @@ from procedures.registration.surface.misfit import (
     MisfitModel,
     PoseMixture,
 )
-from procedures.registration.surface.prediction import SurfacePrediction
+from procedures.registration.surface.prediction import SurfacePrediction, mixture_limit_mm
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
@@ -60,6 +61,7 @@ from procedures.registration.surface.thinning import merge_neighbours, thin_poin
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
 
+EXPLAINED = 0.999  # of the corrections for the arm, by its errors as stated
 MOST_STEPS = 12
 STILL = 1e-5  # mm and rad: a smaller step changes nothing
 FEWEST_POINTS = 30  # of a scan after thinning: five for each unknown
@@ -91,6 +93,7 @@ class SurfaceRegistration:
     sphere_noise_mm2: Array = field(repr=False)  # (3k, 3k) of the looks at spheres
     sphere_residuals_mm: Array
     spheres: tuple[SphereAlone, ...]
+    arm: FoundArm = field(repr=False)
 
     @property
     def misfit_mm(self) -> float:
@@ -103,32 +106,51 @@ class SurfaceRegistration:
         """Expected correlation length of the misfit."""
         return float(self.mixture.weights @ np.array([one.length_mm for one in MISFITS])[self.mixture.misfit])
 
+    @property
+    def arm_at_spheres_mm(self) -> Array:
+        """How far each look at a sphere (m, 3) was from where the arm says, as expected, robot frame."""
+        rows = self.along_mm[len(self.along_mm) - self.sphere_residuals_mm.size :]
+        return np.asarray((rows @ (self.mixture.weights @ self.arm.sizes)).reshape(-1, 3))
+
     def predict(self, target_ct_mm: ArrayLike, arm_at_target: Sources = ()) -> SurfacePrediction:
         """Predict the error at a target (3,) of the CT.
 
         `arm_at_target` are the sources that were given to the registration, with what they displace at this
         target; without them the error is that of the registration alone. Raises REG-001.
         """
-        target = validate_targets(target_ct_mm)[0]
-        slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
-        gains, by_arm = slope @ self.gains, slope @ self.gains @ self.along_mm
-        by_spheres = gains[:, :, len(self.noise_mm2) :]
-        known_mm2 = by_spheres @ self.sphere_noise_mm2 @ np.swapaxes(by_spheres, 1, 2)
-        by_skin = slope @ self.mixture.covariances @ slope.T - known_mm2 - by_arm @ np.swapaxes(by_arm, 1, 2)
-        if arm_at_target:
-            shared_mm, independent_mm2 = at_target(arm_at_target)
-            by_arm, known_mm2 = by_arm + shared_mm, known_mm2 + independent_mm2
-        covariances = UNMODELLED**2 * by_skin + known_mm2 + by_arm @ np.swapaxes(by_arm, 1, 2)
-        return SurfacePrediction(self.mixture.weights, self.mixture.shifts @ slope.T, covariances)
+        slope, gains, shared_mm, independent_mm2 = self._at(target_ct_mm, arm_at_target)
+        crossed = slope @ self.gains @ self.along_mm @ shared_mm.T if arm_at_target else np.zeros((3, 3))
+        whole = slope @ self.mixture.covariances @ slope.T + crossed + np.swapaxes(crossed, -1, -2)
+        whole, offsets = whole + shared_mm @ shared_mm.T, self.mixture.shifts @ slope.T
+        if arm_at_target and self.spheres:
+            whole = whole - self.arm.covariances_mm2(shared_mm)
+            corrections = self.arm.corrections_mm(shared_mm)
+            offsets = offsets + corrections - self.mixture.weights @ corrections
+        by_arm, by_spheres = gains @ self.along_mm + shared_mm, gains[:, :, len(self.noise_mm2) :]
+        known_mm2 = by_arm @ np.swapaxes(by_arm, 1, 2)
+        known_mm2 = known_mm2 + by_spheres @ self.sphere_noise_mm2 @ np.swapaxes(by_spheres, 1, 2)
+        covariances = UNMODELLED**2 * (whole - known_mm2) + known_mm2 + independent_mm2
+        return SurfacePrediction(self.mixture.weights, offsets, covariances)
+
+    def correct(self, arm_at_target: Sources) -> tuple[Array, float]:
+        """Return how far (3,) mm to send the arm beside a target for its error there, and the longest usual.
+
+        Zero without spheres: `predict` counts with it. The limit holds 999 of 1,000.
+        """
+        shared, _ = at_target(arm_at_target)
+        if not self.spheres:
+            return np.zeros(3), 0.0
+        weights, covariances = self.mixture.weights, self.arm.covariances_mm2(shared)
+        limit_mm = mixture_limit_mm(weights, np.zeros((len(weights), 3)), covariances, EXPLAINED)
+        return np.asarray(weights @ self.arm.corrections_mm(shared)), limit_mm
 
     def split(self, target_ct_mm: ArrayLike, arm_at_target: Sources = ()) -> dict[str, float]:
         """Return the mean square error in mm2 at a target by source; the sum is that of `predict`.
 
         The skin has what the measurement and the arm do not explain, the spread of the hypotheses included.
         """
-        target = validate_targets(target_ct_mm)[0]
-        slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
-        gains, weights = slope @ self.gains, self.mixture.weights  # (c, 3, rows)
+        _, gains, _, _ = self._at(target_ct_mm, arm_at_target)
+        weights = self.mixture.weights
         by_points, by_spheres = np.split(gains, [len(self.noise_mm2)], axis=2)
         shares = {LINE: float(weights @ np.sum(by_points**2 * self.noise_mm2, axis=(1, 2)))}
         if self.spheres:
@@ -141,8 +163,20 @@ class SurfaceRegistration:
             first += shared.shape[1]
             mean_mm2 = float(weights @ np.sum(columns**2, axis=(1, 2)) + np.trace(independent_mm2))
             shares[one.source] = shares.get(one.source, 0.0) + mean_mm2
-        rest_mm2 = self.predict(target, arm_at_target).rms_mm ** 2 - sum(shares.values())
+        rest_mm2 = self.predict(target_ct_mm, arm_at_target).rms_mm ** 2 - sum(shares.values())
         return {SKIN: max(rest_mm2, 0.0), **shares}
+
+    def _at(self, target_ct_mm: ArrayLike, arm_at_target: Sources) -> tuple[Array, Array, Array, Array]:
+        """Return a target's slope (3, 6), effects of all rows (c, 3, n), arm's errors (3, q), and (3, 3)."""
+        target = validate_targets(target_ct_mm)[0]
+        slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
+        gains = slope @ self.gains
+        if not arm_at_target:
+            return slope, gains, np.zeros((3, self.along_mm.shape[1])), np.zeros((3, 3))
+        shared_mm, independent_mm2 = at_target(arm_at_target)
+        if self.spheres:  # what is made up for
+            gains = gains - shared_mm @ self.arm.gains
+        return slope, gains, shared_mm, independent_mm2
 
 
 def register_surface(
@@ -205,6 +239,7 @@ def register_surface(
         spheres.covariance_mm2,
         spheres.residuals_mm(found.pose).reshape(-1, 3),
         adjusted.spheres,
+        adjusted.arm,
     )
     for target in targets:
         predicted = registration.predict(target)
@@ -248,6 +283,7 @@ class _Adjusted:
     noise_mm2: Array
     changed: ChangedSkin | None
     spheres: tuple[SphereAlone, ...]
+    arm: FoundArm
 
     @classmethod
     def of(
@@ -296,4 +332,5 @@ class _Adjusted:
             noise + LEAST_NOISE_MM**2,
             changed,
             judge_spheres(model, jacobian, residuals, spheres),
+            FoundArm.of(adjustment, likely, residuals, along) if len(spheres.numbers) else FoundArm.none(),
         )

@@ -47,6 +47,7 @@ FIDUCIALS = {
     FiducialKind.FREE: "on screws",
     FiducialKind.XFRAME: "on the x-shaped frame",
     FiducialKind.SURFACE: "none, the skin is scanned",
+    FiducialKind.MIXED: "on screws, and the skin is scanned",
 }
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import PurePath
 from typing import Self
 
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
-from procedures.steps.clinical.surface.skin_pictures import FULL_COLOUR_MM
+from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, FULL_COLOUR_MM
 
 SURFACE_PICTURES = "surface-"  # names of pictures of the skin begin with it
 LEAST_TOLD = 0.001  # of the boundary
@@ -55,4 +56,14 @@ def read_surface(reading: RunReading) -> SurfaceSection | None:
         reading.find(SurfaceStart),
         reading.find(ScannedSurface),
         reading.find(RegisteredBySurface),
+    )
+
+
+def caption_of_skin(name: str) -> str:
+    """Describe a picture of the skin by its name."""
+    if name.startswith(PurePath(COVERAGE_PICTURE).stem):
+        return "skin covered by the scan"
+    return (
+        f"points by their distance to the skin in the CT: blue inside, red outside, full colour from "
+        f"{FULL_COLOUR_MM:g} mm; rings are left out"
     )

@@ -148,16 +148,20 @@ def tell_learned(learned: LearnedArm | None, target: str) -> str:
 def require_explained_corrections(corrections: Mapping[str, LearnedTarget]) -> None:
     """Require that no target's correction is longer than the arm's errors explain. Raises PRO-007."""
     for target, one in corrections.items():
-        length_mm = float(np.linalg.norm(one.shift_mm))
-        if length_mm > one.limit_mm:
-            got, limit = format_distinct(length_mm, one.limit_mm, 2)
-            raise GateFailed(
-                f"the correction learned for {target} is longer than errors of this arm explain",
-                limit=f"{limit} mm",
-                got=f"{got} mm",
-                action="Check the spheres, and whose calibrations arm, stereo head and guide have, "
-                "then localize again.",
-            )
+        require_explained(target, float(np.linalg.norm(one.shift_mm)), one.limit_mm)
+
+
+def require_explained(target: str, length_mm: float, limit_mm: float) -> None:
+    """Raise PRO-007 if a correction is longer than the arm's errors explain."""
+    if length_mm > limit_mm:
+        got, limit = format_distinct(length_mm, limit_mm, 2)
+        raise GateFailed(
+            f"the correction learned for {target} is longer than errors of this arm explain",
+            limit=f"{limit} mm",
+            got=f"{got} mm",
+            action="Check the spheres, and whose calibrations arm, stereo head and guide have, "
+            "then localize again.",
+        )
 
 
 def _confirm_unmoved_spheres(context: StepContext, predicted: Prediction, margin_mm: float) -> None:

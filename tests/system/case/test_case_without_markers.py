@@ -22,14 +22,19 @@ HALF_A_HEAD = 90  # slices of the mini scene's CT, from the feet up to the middl
 SCANNING = "since step == surface_scan"
 
 
-def test_a_case_without_markers_reaches_its_target_within_its_predicted_error(case: SimulatedCase) -> None:
-    ran = case.run("--scene", "mini", "--seed", str(SEED), "--fiducials", "surface")
+@pytest.mark.parametrize(
+    ("options", "spheres"), [(("surface",), 0), (("mixed", "--markers", "1", "--strategy", "jdms"), 1)]
+)
+def test_a_case_on_the_skin_reaches_its_target_within_its_predicted_error(
+    case: SimulatedCase, options: tuple[str, ...], spheres: int
+) -> None:
+    ran = case.run("--scene", "mini", "--seed", str(SEED), "--fiducials", *options)
     assert ran.returncode == 0, ran.stderr
     outcome = json.loads(ran.stdout)
     records = {record.kind: record.payload for record in records_of(case.run_folder)}
     (predicted,) = records["surface_registration"]["predictions"]
     assert outcome["max_application_error_mm"] < predicted["limit_mm"]
-    assert not records["skin_in_ct"]["markers"]
+    assert len(records["skin_in_ct"]["markers"]) == records["surface_registration"]["pairs"] == spheres
     assert "Registration on the skin" in (case.run_folder / "report.html").read_text()
 
 

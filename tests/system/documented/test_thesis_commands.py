@@ -262,6 +262,13 @@ ELSEWHERE: Mapping[str, str] = {
     "test_an_arm_fitted_to_table_4_shows_its_means_in_the_full_simulation",
     "ronna-campaign strategies --learning --arms 12 --seed 42986": "tests/unit/studies/"
     "test_learning_study.py::test_learning_is_nearer_with_no_more_looks_than_ocs_whatever_the_size_of_the_errors",
+    "ronna-procedure run --sim --scene mini --fiducials surface": "tests/system/case/"
+    "test_case_without_markers.py::"
+    "test_a_case_without_markers_reaches_its_target_within_its_predicted_error",
+    "ronna-campaign surface --heads 6 --seed 78": "tests/unit/studies/test_surface_study.py::"
+    "test_a_registration_is_judged_at_its_targets_and_the_same_unit_gives_the_same",
+    "python -m benchmarks.surface.same_clouds --python PEERS/bin/python --heads 1": "tests/unit/registration/"
+    "surface/test_surface_registration.py::test_closest_points_of_the_thesis_register_the_same_scan",
     "make bench ONLY=tool-tip": "tests/unit/calibration/test_tip_calibration.py::"
     "test_the_tip_is_found_relative_to_what_the_head_sees_whatever_the_arm",
     "make bench": "tests/unit/benchmarks/test_bench.py::"

@@ -227,7 +227,7 @@ def test_a_change_is_judged_while_the_thorough_check_before_it_still_runs_and_it
     begun, released = threading.Event(), threading.Event()
     checked = []
 
-    def slow(draft: Draft, *_: object, thorough: bool) -> Judgement:
+    def slow(draft: Draft, *_: object, thorough: bool, **_skin: object) -> Judgement:
         if thorough:
             begun.set()
             checked.append(draft)

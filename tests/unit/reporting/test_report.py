@@ -553,12 +553,9 @@ def test_a_registration_on_the_skin_is_reported_with_its_regions_and_without_sph
         (StepKey("surface_registration"), registered_by_surface()),
         linked=True,
     )
-    text = report_text(write_report(run, out=tmp_path / "out").read_text())
-    for words in (
-        "Registration on the skin",
-        "left ear 1.500 left out",
-        "cheeks, eyes 0.300 its shift counts",
-    ):
+    page = report_text(write_report(run, out=tmp_path / "out"))
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
+    for words in ("Registration on the skin", "left ear 1.500 left out", "cheeks, eyes 0.300 its shift"):
         assert words in text
     for heading in ("Spheres in the CT", "Registration, verified both ways"):
         assert heading not in text

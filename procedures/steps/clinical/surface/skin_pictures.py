@@ -45,8 +45,8 @@ def draw_residuals(skin: Surface, found: SurfaceRegistration) -> bytes:
 def colour_residuals(distances_mm: Array) -> Colours:
     """Return a colour (n, 3) for each distance, positive outside the skin; one that is not known is grey."""
     share = np.clip(np.nan_to_num(distances_mm) / FULL_COLOUR_MM, -1.0, 1.0)[:, None]
-    towards = np.where(share < 0.0, BETWEEN - INSIDE, OUTSIDE - BETWEEN)
-    return np.asarray(BETWEEN + towards * share)
+    away = np.where(share < 0.0, BETWEEN - INSIDE, OUTSIDE - BETWEEN)
+    return np.asarray(BETWEEN + away * share)
 
 
 def _draw_views(

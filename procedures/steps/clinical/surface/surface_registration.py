@@ -6,7 +6,7 @@ looks and target; see `procedures.registration.surface`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from procedures.planning.guide import direction_covariance_mm2, instrument_covar
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration.error_sources import DIRECTION, FUSION, GUIDE_TIP, INSTRUMENT, STEREO_HEAD
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE
+from procedures.registration.surface.shared_errors import Sources
 from procedures.registration.surface.spheres import LookedSpheres
 from procedures.registration.surface.surface_registration import SurfaceRegistration, register_surface
 from procedures.registration.target_prediction import SharedErrors
@@ -31,10 +32,17 @@ from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import against_margins, exclude_beyond_margin, picture_of
+from procedures.steps.clinical.registration import (
+    against_margins,
+    exclude_beyond_margin,
+    picture_of,
+    require_explained,
+    tell_learned,
+)
 from procedures.steps.clinical.results import (
     NOT_PREDICTED_OF_TOOL,
     ErrorShare,
+    LearnedArm,
     Prediction,
     RegisteredBySurface,
     ScannedSurface,
@@ -49,6 +57,7 @@ from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
 from ronna_hw.text import format_count
+from ronna_hw.vectors import Vector3, vector3
 
 SLIPPING = "a head that slips in its clamp, of which the tracker sees the frame alone"
 LEFT_AND_RIGHT = (
@@ -80,7 +89,8 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     left_out = exclude_beyond_margin(context, plan, predictions)
     side_proven = found.side_proven or context.result(SurfaceStart).site is not None
     picture = context.keep_picture(RESIDUALS_PICTURE, draw_residuals(skin_of(context), found))
-    _accept(context, plan, found, predictions, left_out, picture, side_proven=side_proven)
+    learned = None if looked is None else _learn_arm(context, scanned, looked, found, planned)
+    _accept(context, plan, found, predictions, left_out, learned, picture, side_proven=side_proven)
     kept = found.residuals_mm[~found.excluded]
     worst = max(predictions, key=lambda one: one.rms_mm)
     changed = () if found.changed is None else (SkinRegion.of(found.changed),)
@@ -90,7 +100,7 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
             robot_from_ct=FramedPose.of(found.robot_from_ct),
             pairs=len(found.spheres),
             fre_mm=float(np.sqrt(np.mean(kept**2))),
-            residuals_mm=found.sphere_residuals_mm.tolist(),
+            residuals_mm=() if looked is None else _residuals_by_sphere(looked, found),
             leave_one_out_mm=tuple(one.away_mm for one in found.spheres),
             predictions=predictions,
             two_way=verify_two_way(
@@ -101,6 +111,7 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
                 ct_disagreement_mm=localized.disagreement_mm,
             ),
             left_out=left_out,
+            learned=learned,
             points=len(found.points_mm),
             excluded=float(np.mean(found.excluded)),
             coverage=found.coverage,
@@ -167,6 +178,52 @@ def _head_errors(context: StepContext, looks: list[LocalizationPose]) -> SharedE
     return SharedErrors(STEREO_HEAD, size_mm * turns, np.zeros((3, 3)))
 
 
+def _arm_at(
+    context: StepContext,
+    scanned: ScannedSurface,
+    looked: LookedPairs | None,
+    held: error_budget.HeldGuide,
+    planned: PlannedTrajectory,
+) -> Sources:
+    """Return the errors of arm and stereo head at all looks and at a target."""
+    looks, places_mm = _looks_of(context, scanned, looked)
+    of_arm = error_budget.arm_errors(context, looks, places_mm, planned.id, held)
+    return (*of_arm, _head_errors(context, looks))
+
+
+def _learn_arm(
+    context: StepContext,
+    scanned: ScannedSurface,
+    looked: LookedPairs,
+    found: SurfaceRegistration,
+    planned: Sequence[PlannedTrajectory],
+) -> LearnedArm:
+    """Return what skin and spheres show of the arm, with a correction for each target. Raises PRO-007."""
+    corrections_mm, limits_mm = {}, {}
+    for one in planned:
+        held = error_budget.predict_held_guide(context, one, found.robot_from_ct, None)
+        shift_mm, limit_mm = found.correct(_arm_at(context, scanned, looked, held, one))
+        require_explained(one.id, float(np.linalg.norm(shift_mm)), limit_mm)
+        corrections_mm[one.id], limits_mm[one.id] = vector3(shift_mm), limit_mm
+    numbers, rows = np.unique(looked.fiducials, return_index=True)
+    places_mm = looked.physical_mm + found.arm_at_spheres_mm
+    return LearnedArm(
+        looks=len(scanned.looks_taken) + len(looked.looks),
+        share=1.0,
+        scatter_mm=0.0,
+        fiducials=tuple(numbers.tolist()),
+        spheres_robot_mm=tuple(map(vector3, places_mm[rows])),
+        corrections_mm=corrections_mm,
+        correction_limits_mm=limits_mm,
+    )
+
+
+def _residuals_by_sphere(looked: LookedPairs, found: SurfaceRegistration) -> tuple[Vector3, ...]:
+    """Return what is left at each sphere, on average over its looks, beside the errors of the arm."""
+    left_mm, numbers = found.sphere_residuals_mm + found.arm_at_spheres_mm, np.array(looked.fiducials)
+    return tuple(vector3(left_mm[numbers == one].mean(axis=0)) for one in np.unique(numbers))
+
+
 def _predict(
     context: StepContext,
     scanned: ScannedSurface,
@@ -175,12 +232,8 @@ def _predict(
     planned: PlannedTrajectory,
 ) -> Prediction:
     """Predict the tip's error at a target: of the registration with the arm, and what is added there."""
-    looks, places_mm = _looks_of(context, scanned, looked)
     held = error_budget.predict_held_guide(context, planned, found.robot_from_ct, None)
-    arm = (
-        *error_budget.arm_errors(context, looks, places_mm, planned.id, held),
-        _head_errors(context, looks),
-    )
+    arm = _arm_at(context, scanned, looked, held, planned)
     by_surface = found.predict(planned.target_mm, arm)
     plan, bore = context.result(CheckedPlan).plan, context.workcell.tools.guide.bore
     tip = context.workcell.calibrations.tool_tip
@@ -215,6 +268,7 @@ def _accept(
     found: SurfaceRegistration,
     predictions: tuple[Prediction, ...],
     left_out: Mapping[str, str],
+    learned: LearnedArm | None,
     residuals: Picture,
     *,
     side_proven: bool,
@@ -247,7 +301,8 @@ def _accept(
                     f"about {one.rms_mm:.2f} mm are expected"
                     for one in found.spheres
                 )
-                + f"\nnot included: {predicted.excluded}",
+                + f"\nnot included: {predicted.excluded}"
+                + (f"\n{tell_learned(learned, predicted.target)}" if learned is not None else ""),
                 trajectory=predicted.target,
                 evidence=(error_budget.budget_table(predicted), *_tabulate_changed(found)),
                 predicted=against,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from procedures.registration.error_sources import LINE, SKIN, SPHERES
 from procedures.registration.surface.spheres import LookedSpheres
 from procedures.registration.surface.surface_registration import register_surface
 from procedures.registration.target_prediction import SharedErrors
@@ -85,3 +88,38 @@ def test_an_error_of_the_arm_that_spheres_and_target_share_cancels(heads, scan_o
     target = DEEP_MM[0]
     assert shared.predict(target).rms_mm > 0.6
     assert shared.predict(target, (off,)).rms_mm == pytest.approx(alone.predict(target).rms_mm, rel=0.1)
+
+
+def test_what_the_arm_errs_at_spheres_and_target_alike_is_made_up_for(heads, scan_of):
+    errors, without, predicted = [], [], []
+    for seed in range(8):
+        made = scan_of(heads[seed % 2], 700 + seed, misfit_mm=0.1)
+        looks = len(np.unique(made.scan.look))
+        alike = SharedErrors("mount", np.zeros((looks + 3, 3, 3)), np.eye(3) * 0.5)
+        alike.at_spheres_mm[looks:] = np.eye(3) * 0.5  # in the posture of the target, not at the skin
+        off_mm = 0.5 * np.random.default_rng(seed).normal(size=3)
+        spheres = look_at(made, 3, seed)
+        spheres = replace(spheres, physical_mm=spheres.physical_mm - off_mm)
+        found = register_surface(made.scan, heads[seed % 2], made.start, spheres=spheres, arm=(alike,))
+        correction_mm, limit_mm = found.correct((alike,))
+        assert np.linalg.norm(correction_mm) < limit_mm
+        pose_mm = made.errors_mm(found.robot_from_ct, DEEP_MM[:1])[0]
+        without.append(float(np.sum((pose_mm + off_mm) ** 2)))
+        errors.append(float(np.sum((pose_mm + off_mm + correction_mm) ** 2)))
+        predicted.append(found.predict(DEEP_MM[0], (alike,)).rms_mm ** 2)
+    assert np.mean(errors) < 0.1 * np.mean(without), (errors, without)
+    assert 0.4 < np.mean(errors) / np.mean(predicted) < 2.5, (errors, predicted)
+
+
+def test_the_shares_add_up_with_an_arm_that_is_made_up_for(heads, scan_of):
+    made = scan_of(heads[0], 301, misfit_mm=0.4, length_mm=25.0)
+    spheres, looks = look_at(made, 3, 1), len(np.unique(made.scan.look))
+    at_spheres = np.zeros((looks + 3, 3, 1))
+    at_spheres[looks:, 0] = 1.0  # at spheres and target the arm errs alike, at the skin not at all
+    arm = [SharedErrors("arm", at_spheres, at_spheres[-1])]
+    found = register_surface(made.scan, heads[0], made.start, arm=arm, spheres=spheres)
+    shares = found.split(DEEP_MM[0], arm)
+    assert sum(shares.values()) == pytest.approx(found.predict(DEEP_MM[0], arm).rms_mm ** 2)
+    assert list(shares) == [SKIN, LINE, SPHERES, "arm"]
+    assert min(shares.values()) > 0.0
+    assert shares["arm"] < 0.5  # of the 1.0 of an arm that nothing shows

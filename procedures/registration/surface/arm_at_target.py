@@ -1,0 +1,68 @@
+"""Error of the arm at a target, as far as its looks at skin and spheres show it.
+
+Spheres that are looked at in the posture of the target err with it: what the common adjustment leaves there
+of them is the arm's, and it is made up for. Looks at the skin, from many sides, tell the two apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from procedures.registration.surface.misfit import Adjustment, PoseMixture
+from ronna_hw.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class FoundArm:
+    """Errors (k) of the arm by an adjustment, under each component (c) of its mixture.
+
+    `sizes` (c, k) are best linear unbiased predictions in standard deviations, `known` (c, k, k) the part of
+    their covariance that the looks take away. `gains` (c, k, n) are the effects of the errors of the rows on
+    the sizes.
+    """
+
+    sizes: Array
+    known: Array
+    gains: Array
+
+    @classmethod
+    def none(cls) -> FoundArm:
+        """Return that nothing was looked for."""
+        return cls(np.empty((0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0)))
+
+    @classmethod
+    def of(
+        cls, adjustment: Adjustment, mixture: PoseMixture, residuals_mm: Array, along_mm: Array
+    ) -> FoundArm:
+        """Find errors that displace the looks by `along_mm` (n, k) against their residuals."""
+        count, errors = len(mixture.weights), along_mm.shape[1]
+        sizes, known = np.empty((count, errors)), np.empty((count, errors, errors))
+        gains = np.empty((count, errors, len(along_mm)))
+        for number in np.unique(mixture.misfit):
+            one, rows = adjustment.hypotheses[number], np.flatnonzero(mixture.misfit == number)
+            half = solve_triangular(
+                one.factor, np.column_stack([residuals_mm, along_mm]), lower=True, check_finite=False
+            )
+            left = half - one.pose @ (one.by_pose @ half)  # what no movement explains
+            for row in rows:
+                skin = one.skin[:, mixture.region[row]]
+                by_skin = half.T @ skin / one.spread[mixture.region[row]] ** 0.5
+                product = half.T @ left - np.outer(by_skin, by_skin)
+                sizes[row] = -product[1:, 0]  # a tool that is off by this records the opposite
+                known[row] = product[1:, 1:]
+                beside = np.outer(by_skin[1:], skin) / one.spread[mixture.region[row]] ** 0.5
+                gains[row] = solve_triangular(
+                    one.factor, left[:, 1:] - beside.T, lower=True, trans=1, check_finite=False
+                ).T
+        return cls(sizes, known, gains)
+
+    def corrections_mm(self, at_target_mm: Array) -> Array:
+        """Return how far (h, 3) to send the arm beside a target that the errors displace by (3, k)."""
+        return np.asarray(-self.sizes @ at_target_mm.T)
+
+    def covariances_mm2(self, at_target_mm: Array) -> Array:
+        """Return the covariances (h, 3, 3) of these corrections, which the error at the target loses."""
+        return np.asarray(at_target_mm @ self.known @ at_target_mm.T)
