@@ -38,6 +38,7 @@ class Cell:
     def __init__(self) -> None:
         self.journal: list[dict[str, Any]] = []
         self.clock = SimpleNamespace(now_s=lambda: 0.0)
+        self.master = SimpleNamespace(joints_rad=lambda: (0.0,) * 6)
         self.scanned_looks = lambda paths: Workcell.scanned_looks(cast(Workcell, self), paths)
         self.record_scanned_look = lambda paths, look: Workcell.record_scanned_look(
             cast(Workcell, self), paths, look
