@@ -38,9 +38,12 @@ from ronna_hw.frames import Transform
 # Of the former registration: the arm errs alike at its looks and at a target only if neither went far.
 # Safety against a carried registration whose predicted error no longer holds (U).
 MOST_CARRIED_MM, MOST_CARRIED_RAD = 30.0, math.radians(10.0)
-# Of a target, from where the clamp has carried it. Safety against a head that slips in its clamp (U).
+# Of a target, from where the clamp has carried it.
+# Safety against a head that slips in its clamp (U).
 MOST_SLIPPED_MM = 2.0
-LARGEST_LIMIT_MM = 1.0  # of that movement at 95 %: more looks would say more
+# Of that movement at 95 %.
+# Safety against looks that do not say where the head is (U).
+LARGEST_LIMIT_MM = 1.0
 TURN_SD_RAD, PLACE_SD_MM = math.radians(0.5), 1.0  # of a frame on the clamp, at the head (U)
 LOOK_MM = 0.1  # per axis, of a look by a calibrated arm (U)
 CARRYING = "head carried by its clamp"  # source of error

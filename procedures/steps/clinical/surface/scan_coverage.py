@@ -17,7 +17,9 @@ from ronna_hw.errors import RonnaError, is_error
 
 COVERED_MM = 5.0  # a place of the skin this near to a point is covered: half of the way to the next line
 
-DETERMINED_MM = 10.0  # a larger expected error means that the places seen so far allow any pose
+# Of the expected error, which is shown only below this.
+# Safety against a figure of places that allow any pose (U).
+DETERMINED_MM = 10.0
 
 
 class ScanCoverage:

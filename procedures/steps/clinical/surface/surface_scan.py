@@ -33,7 +33,7 @@ from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, dr
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.strategies.skin_looks import SKIN
-from procedures.workcell import MountedTool
+from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.centring import Centring
 from procedures.workcell.line_look import LineLook
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
@@ -147,10 +147,10 @@ def _take_looks(
     for number in (place for place in range(len(planned)) if place not in taken):
         state = coverage.after(len(looks), len(planned))
         context.progress(len(looks) / len(planned), describe_scan(state), state)
-        began_s = workcell.clock.now_s()
+        began_s = _read_time_s(workcell)  # after a pause
         scanner = _Scanner(context, number, planned[number], arriving(context, paths, planned[number]))
         lines = tuple(scanner.scan())
-        theatre_s = workcell.clock.now_s() - began_s
+        theatre_s = _read_time_s(workcell) - began_s
         looks.append(ScannedLook(number=number, lines=lines, reason=scanner.reason, theatre_s=theatre_s))
         if lines:
             workcell.record_scanned_look(_name_of(context), looks[-1].model_dump(mode="json"))
@@ -158,6 +158,12 @@ def _take_looks(
     state = coverage.after(len(looks), len(planned))
     context.progress(1.0, describe_scan(state), state)
     return tuple(looks)
+
+
+def _read_time_s(workcell: Workcell) -> float:
+    """Return the theatre time of a reading: a replay has no other."""
+    workcell.master.joints_rad()
+    return workcell.clock.now_s()
 
 
 def _points_in_ct(context: StepContext, lines: Sequence[ScannedLine]) -> Array:

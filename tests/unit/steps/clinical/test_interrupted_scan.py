@@ -10,7 +10,7 @@ import pytest
 
 from procedures.engine.context import StepContext
 from procedures.engine.events import ScanProgress
-from procedures.journal.journal import Entry
+from procedures.journal.journal import Entry, Line
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import ScannedLine, ScannedLook
 from procedures.steps.clinical.surface import surface_scan
@@ -38,10 +38,13 @@ class Cell:
     def __init__(self) -> None:
         self.journal: list[dict[str, Any]] = []
         self.clock = SimpleNamespace(now_s=lambda: 0.0)
-        self.scanned_looks = lambda paths: Workcell.scanned_looks(cast(Workcell, self), paths)
-        self.record_scanned_look = lambda paths, look: Workcell.record_scanned_look(
-            cast(Workcell, self), paths, look
-        )
+        self.master = SimpleNamespace(joints_rad=lambda: (0.0,) * 6)
+
+    def scanned_looks(self, paths: str) -> tuple[Line, ...]:
+        return Workcell.scanned_looks(cast(Workcell, self), paths)
+
+    def record_scanned_look(self, paths: str, look: Line | None) -> None:
+        Workcell.record_scanned_look(cast(Workcell, self), paths, look)
 
     @property
     def _log(self) -> Any:
