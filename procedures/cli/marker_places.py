@@ -154,6 +154,8 @@ def choose_fiducials(
 
 def print_expected(compared: Sequence[Fiducials]) -> None:
     """Print the expected errors of ways to register, alone and with what comes after, against the margins."""
+    from procedures.operator.margin import judge_error
+
     rows = [
         [
             one.words,
@@ -162,7 +164,7 @@ def print_expected(compared: Sequence[Fiducials]) -> None:
             f"{at.limit_mm:.2f}",
             f"{at.total_mm:.2f}",
             f"{at.total_limit_mm:.2f}",
-            f"{at.margin_mm:g}: {at.verdict}",
+            f"{at.margin_mm:g}: {judge_error(at.margin_mm, at.total_mm, at.total_limit_mm)}",
         ]
         for one in compared
         for at in one.expected

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from procedures.operator.margin import MarginVerdict, judge_error
 from procedures.planning.errors import NO_MARKER_SITES
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import APART_MM, list_free_sites, propose_markers
@@ -58,9 +57,9 @@ class TargetExpectation:
         return float(np.hypot(self.limit_mm, LIMIT_OF_RMS * OTHERS_MM))
 
     @property
-    def verdict(self) -> MarginVerdict:
-        """Judgement of the total by the margin."""
-        return judge_error(self.margin_mm, self.total_mm, self.total_limit_mm)
+    def keeps_margin(self) -> bool:
+        """Whether the total is within the margin in 95 of 100."""
+        return self.total_limit_mm <= self.margin_mm
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ class Fiducials:
     @property
     def keeps_margins(self) -> bool:
         """Whether the 95 % limit at every target is expected within its margin."""
-        return all(one.verdict is MarginVerdict.PREDICTED_WITHIN for one in self.expected)
+        return all(one.keeps_margin for one in self.expected)
 
     def as_payload(self) -> dict[str, object]:
         """Return plain values for JSON."""
@@ -92,7 +91,7 @@ class Fiducials:
                 **asdict(one),
                 "total_mm": one.total_mm,
                 "total_limit_mm": one.total_limit_mm,
-                "verdict": str(one.verdict),
+                "keeps_margin": one.keeps_margin,
             }
             for one in self.expected
         ]

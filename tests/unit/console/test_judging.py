@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -17,9 +19,11 @@ from console.planning.judging import Judgement, expected, judge, page_advice
 from console.planning.reach_panel import tell_trajectories
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.planning.errors import NO_TOOL_RECORD, NotReachable
+from procedures.planning.plan_model import FiducialKind
 from procedures.planning.pose_name import GAUGE, PoseKind, PoseName
 from procedures.planning.theatre_arm import SixNumbers, TheatreArm, theatre_arm
 from procedures.planning.visits import Unmet
+from procedures.registration.surface.surface import Surface
 from procedures.strategies.catalogue import find_strategy
 
 NEAR: SixNumbers = (700.0, 0.0, 100.0, -90.0, 0.0, -90.0)
@@ -101,3 +105,18 @@ def test_advice_on_the_page_is_whole_and_names_no_command() -> None:
     counted = page_advice(MarkerCountWrong("no marker found", candidates=()))
     assert counted.endswith("scan again, or correct the expected count.")
     assert page_advice(NO_TOOL_RECORD("none")).startswith("Ask whoever set up this planner")
+
+
+def test_a_plan_on_the_skin_is_judged_by_skin_and_screws_against_its_margin() -> None:
+    directions = np.random.default_rng(1).normal(size=(3000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    normals = directions / (75.0, 95.0, 90.0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    skin = cast(Surface, SimpleNamespace(points_mm=directions * (75.0, 95.0, 90.0), normals=normals))
+    on_skin = replace(DRAFT, fiducials=FiducialKind.MIXED, implanted=1, markers=DRAFT.markers[:1])
+    judged = judge(on_skin, scan(), None, thorough=True, skin=skin)
+    alone = judge(replace(on_skin, markers=DRAFT.markers), scan(), None, thorough=True, skin=skin)
+    assert judged.expected["T1"].rms_mm > alone.expected["T1"].rms_mm
+    shown = expected(judged, on_skin)
+    assert "skin and 1 screw" in shown
+    assert "margin 2 mm" in shown
