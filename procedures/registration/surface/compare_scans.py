@@ -95,7 +95,7 @@ def compare_scans(
     shared_mm = (both_mm * looks * (after.normals @ pose.rotation)[:, None, :]).reshape(len(thin), -1)
     places = after.places_mm[used]
     centre, regions = places.mean(axis=0), list_regions(places, axes)
-    model = MisfitModel.of(thin.points_mm[used], own_noise[used], shared_mm[used], ALIKE)
+    model = MisfitModel.of(places, after.normals[used], own_noise[used], shared_mm[used], ALIKE)
     adjustment = Adjustment.of(model, difference.jacobian(centre)[used], regions)
     mixture = adjustment.step(difference.distances_mm[used])
     changed = ChangedSkin.of(mixture, regions, difference, used, axes)

@@ -11,7 +11,7 @@ of Spatial Data): the squared exponential, smooth without end, is far too confid
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import product
 from typing import NamedTuple, Self
@@ -55,15 +55,21 @@ _CORRELATIONS: dict[Roughness, Callable[[Array], Array]] = {
 
 @dataclass(frozen=True)
 class Misfit:
-    """Hypothesis: standard deviation along the normal, correlation length, and kind of correlation."""
+    """Hypothesis: standard deviation along the normal, correlation length, and kind of correlation.
+
+    Skin swells and is pressed along its normal. Where `is_sagging` it moved as one in some direction, as soft
+    tissue hangs or slides: what shows of that is its part along the normal.
+    """
 
     size_mm: float
     length_mm: float
     roughness: Roughness
+    is_sagging: bool = False
 
-    def covariance_mm2(self, distances_mm: Array) -> Array:
-        """Return the covariance of points at these distances from each other."""
-        return np.asarray(self.size_mm**2 * _CORRELATIONS[self.roughness](distances_mm / self.length_mm))
+    def covariance_mm2(self, distances_mm: Array, cosines: Array) -> Array:
+        """Return the covariance of points at these distances, whose normals have these cosines."""
+        alike = _CORRELATIONS[self.roughness](distances_mm / self.length_mm)
+        return np.asarray(self.size_mm**2 * (alike * cosines if self.is_sagging else alike))
 
 
 SIZES_MM = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
@@ -73,10 +79,14 @@ LENGTHS_MM = {
     Roughness.SMOOTH: (10.0, 20.0, 40.0),
     Roughness.SMOOTHER: (60.0, 150.0),
 }
+SAGGING_MM = (40.0, 120.0)
+KINDS = (
+    *((kind, length_mm, False) for kind, lengths_mm in LENGTHS_MM.items() for length_mm in lengths_mm),
+    *((Roughness.SMOOTHER, length_mm, True) for length_mm in SAGGING_MM),
+)
 MISFITS = tuple(
-    Misfit(size_mm, length_mm, roughness)
-    for roughness, lengths_mm in LENGTHS_MM.items()
-    for length_mm, size_mm in product(lengths_mm, SIZES_MM)
+    Misfit(size_mm, length_mm, kind, is_sagging)
+    for (kind, length_mm, is_sagging), size_mm in product(KINDS, SIZES_MM)
 )
 
 
@@ -131,13 +141,14 @@ class MisfitModel:
     def of(
         cls,
         points_mm: Array,
+        normals: Array,
         noise_mm2: Array,
         shared_mm: Array,
         misfits: Sequence[Misfit] = MISFITS,
         prior: Array | None = None,
         known_mm2: Array = NOTHING_KNOWN,
     ) -> Self:
-        """Factor the covariances for points (n, 3) with noise (n,) along the normals.
+        """Factor the covariances for points (n, 3) with noise (n,) along their normals (n, 3), in one frame.
 
         `shared_mm` (n, k) is the displacement along the normals by further errors of one standard deviation.
         All hypotheses are equally likely without a `prior` (h,). `known_mm2` (q, q) is the covariance of
@@ -148,12 +159,13 @@ class MisfitModel:
         common[:count, :count] += OFFSET_SD_MM**2
         common[np.diag_indices(count)] += noise_mm2 + LEAST_NOISE_MM**2
         common[count:, count:] += known_mm2
-        kinds = {(one.roughness, one.length_mm): Misfit(1.0, one.length_mm, one.roughness) for one in misfits}
-        unit = {kind: one.covariance_mm2(distances_mm) for kind, one in kinds.items()}
-        factors = []
+        cosines, units, factors = normals @ normals.T, dict[Misfit, Array](), []
         for one in misfits:
+            kind = replace(one, size_mm=1.0)
+            if kind not in units:
+                units[kind] = kind.covariance_mm2(distances_mm, cosines)
             covariance = common.copy()
-            covariance[:count, :count] += one.size_mm**2 * unit[one.roughness, one.length_mm]
+            covariance[:count, :count] += one.size_mm**2 * units[kind]
             factors.append(cho_factor(covariance, lower=True, check_finite=False))
         logs = np.array([2.0 * np.log(np.diagonal(factor)).sum() for factor, _ in factors])
         equal = np.full(len(misfits), 1.0 / len(misfits))

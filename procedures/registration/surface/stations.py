@@ -144,7 +144,7 @@ class ExpectedPose:
             raise LITTLE_COVERAGE(f"{len(points)} points of the surface", limit=f"{FEWEST_POINTS}")
         centre, misfits = points.mean(axis=0), misfits or USUAL
         shared = np.zeros((len(points), 0)) if shared_mm is None else shared_mm
-        model = MisfitModel.of(points, np.full(len(points), noise_mm**2), shared, tuple(misfits))
+        model = MisfitModel.of(points, normals, np.full(len(points), noise_mm**2), shared, tuple(misfits))
         jacobian = np.hstack([np.cross(points - centre, normals), normals])
         weights = np.array(list(misfits.values()))
         covariances = UNMODELLED**2 * model.adjust(jacobian, np.zeros(len(points))).covariances

@@ -303,15 +303,15 @@ class _Adjusted:
         """
         directions = found.normals @ found.pose.rotation  # in the robot frame
         noise = np.einsum("ni,nij,nj->n", directions, merged.covariance_mm2, directions)[used]
-        points, places = merged.points_mm[used], found.places_mm[used]
+        points, places, towards = merged.points_mm[used], found.places_mm[used], directions[used]
         centre, along = places.mean(axis=0), columns.along(directions)[used]
         jacobian = found.jacobian(centre)[used]
-        model = MisfitModel.of(points, noise, along)
+        model = MisfitModel.of(points, towards, noise, along)
         require_still(model, jacobian, found.distances_mm[used], merged.look[used])  # by the scan alone
         if len(spheres.numbers):
             along = np.vstack([along, columns.of_spheres()])
             jacobian = np.vstack([jacobian, spheres.jacobian(found.pose, centre)])
-            model = MisfitModel.of(points, noise, along, known_mm2=spheres.covariance_mm2)
+            model = MisfitModel.of(points, towards, noise, along, known_mm2=spheres.covariance_mm2)
         regions = list_regions(places, axes)
         adjustment = Adjustment.of(model, jacobian, regions)
         for _ in range(MOST_STEPS):
