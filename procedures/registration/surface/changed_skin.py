@@ -40,7 +40,7 @@ class ChangedSkin:
 
     @classmethod
     def of(
-        cls, mixture: PoseMixture, regions: Mask, settled: Settled, used: Mask, axes: HeadAxes
+        cls, mixture: PoseMixture, regions: Array, settled: Settled, used: Mask, axes: HeadAxes
     ) -> Self | None:
         """Read from an adjustment of some points which of them have moved; it had `regions` (n, g)."""
         count = regions.shape[1] + 1
@@ -54,8 +54,12 @@ class ChangedSkin:
         return cls(parts, float(settled.distances_mm[moved].mean()), moved)
 
 
-def list_regions(places_mm: Array, axes: HeadAxes) -> Mask:
-    """List regions (n, g) of a scan that may have moved as one: parts by name, sides, caps, and discs."""
+def list_regions(places_mm: Array, normals: Array, axes: HeadAxes) -> Array:
+    """List regions of a scan that may have moved as one, (n, g) by how far a unit of it moves their points.
+
+    Along the normals: parts by name, sides, caps, and discs. Along each axis of the CT: the slices above or
+    below some place, in which a patient who moved during the scan is elsewhere.
+    """
     names = axes.name_parts(places_mm)
     groups = [names == one for one in np.unique(names)]
     ways_mm = [sign * along for along in places_mm.T for sign in (1.0, -1.0)]
@@ -68,7 +72,10 @@ def list_regions(places_mm: Array, axes: HeadAxes) -> Mask:
         for rows in tree.query_ball_point(places_mm[_spread(places_mm, DISCS_APART * radius_mm)], radius_mm):
             groups.append(np.isin(np.arange(len(places_mm)), rows))
     groups = [one for one in groups if FEWEST_IN_REGION <= one.sum() <= len(places_mm) // 2]
-    return np.array(groups, dtype=bool).reshape(-1, len(places_mm)).T
+    heights_mm = (places_mm[:, 2], -places_mm[:, 2])
+    slabs = [one < np.quantile(one, share) for one in heights_mm for share in SIDE_SHARES]
+    by_slab = [slab[:, None] * normals for slab in slabs]
+    return np.column_stack([*groups, *by_slab]).astype(float)
 
 
 def _spread(places_mm: Array, apart_mm: float) -> list[int]:

@@ -54,9 +54,10 @@ class SurfaceLimits:
     # Robust standard deviation of the distances: skin of the same head stays well below, another head above.
     # Safety against the CT of another patient. Source: parametric heads.
     largest_residual_mm: float = 0.9
-    # Shares of the scan that are another body, or skin that changed.
+    # Shares of the scan that are another body, that are another body or hair, and that are skin that changed.
     # Safety against hands, drapes and hair taken for the head, and skin that moved. Source: parametric heads.
     most_excluded: float = 0.25
+    most_hidden: float = 0.33
     most_changed: float = 0.2
 
 
@@ -77,6 +78,16 @@ def require_skin(is_other: Mask, limits: SurfaceLimits) -> None:
             "much of the scan is off the surface of the CT",
             limit=f"{limits.most_excluded:.0%}",
             got=f"{is_other.mean():.0%}",
+        )
+
+
+def require_bare_skin(is_left_out: Mask, limits: SurfaceLimits) -> None:
+    """Raise SRF-010 if other bodies and hair make up too much of the scan."""
+    if is_left_out.mean() > limits.most_hidden:
+        raise MUCH_EXCLUDED(
+            "much of the scan is hair, or off the surface of the CT",
+            limit=f"{limits.most_hidden:.0%}",
+            got=f"{is_left_out.mean():.0%}",
         )
 
 

@@ -94,7 +94,7 @@ def compare_scans(
     both_mm = np.sqrt(2.0) * look_mm  # of a look in either scan
     shared_mm = (both_mm * looks * (after.normals @ pose.rotation)[:, None, :]).reshape(len(thin), -1)
     places = after.places_mm[used]
-    centre, regions = places.mean(axis=0), list_regions(places, axes)
+    centre, regions = places.mean(axis=0), list_regions(places, after.normals[used], axes)
     model = MisfitModel.of(places, after.normals[used], own_noise[used], shared_mm[used], ALIKE)
     adjustment = Adjustment.of(model, difference.jacobian(centre)[used], regions)
     mixture = adjustment.step(difference.distances_mm[used])

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, solve_triangular
 from scipy.spatial.distance import cdist
 
-from ronna_hw.arrays import Array, Mask
+from ronna_hw.arrays import Array
 
 POSE = 6  # unknowns of a pose
 OFFSET_SD_MM = 0.15  # of the surface's level in the CT, the same everywhere (U)
@@ -192,15 +192,15 @@ class _Whitened(NamedTuple):
 class Adjustment:
     """Adjustment of a pose under all hypotheses, prepared for residuals of several steps.
 
-    Each of the regions (n, g) may have moved along its normal by an unknown way, at most one of them: which
-    one is part of the mixture.
+    Each of the regions (n, g) may have moved by an unknown way, at most one of them: which one is part of the
+    mixture. A region is how far each residual grows by a unit of its way.
     """
 
     hypotheses: tuple[_Whitened, ...]
     covariances: Array
 
     @classmethod
-    def of(cls, model: MisfitModel, jacobian: Array, regions: Mask | None = None) -> Self:
+    def of(cls, model: MisfitModel, jacobian: Array, regions: Array | None = None) -> Self:
         """Prepare for a `jacobian` (n, 6) of the residuals."""
         moved, chances = np.zeros((len(jacobian), 1)), np.ones(1)
         if regions is not None and regions.shape[1]:

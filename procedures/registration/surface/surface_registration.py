@@ -27,6 +27,7 @@ from procedures.registration.surface.checks import (
     SurfaceLimits,
     is_side_proven,
     require_agreement,
+    require_bare_skin,
     require_coverage,
     require_determined,
     require_same_head,
@@ -211,6 +212,8 @@ def register_surface(
     )
     found = Settled.at(pose, merged.points_mm, merged.view_mm, surface)
     used = ~mark_other_bodies(found) & ~is_hair
+    left_out = np.append(~used, np.ones(len(far), dtype=bool))
+    require_bare_skin(left_out, limits)
     coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
     side_proven = is_side_proven(found, used, merged.points_mm, merged.view_mm, surface, axes)
     columns = ErrorColumns.of(arm, scan, rows, len(spheres.numbers))
@@ -227,7 +230,7 @@ def register_surface(
         ct_from_robot.inverse(),
         np.vstack([merged.points_mm, scan.points_mm[far]]),
         np.append(found.distances_mm, beside.distances_mm),
-        np.append(~used, np.ones(len(far), dtype=bool)),
+        left_out,
         adjusted.changed,
         coverage,
         side_proven,
@@ -312,7 +315,7 @@ class _Adjusted:
             along = np.vstack([along, columns.of_spheres()])
             jacobian = np.vstack([jacobian, spheres.jacobian(found.pose, centre)])
             model = MisfitModel.of(points, towards, noise, along, known_mm2=spheres.covariance_mm2)
-        regions = list_regions(places, axes)
+        regions = list_regions(places, found.normals[used], axes)
         adjustment = Adjustment.of(model, jacobian, regions)
         for _ in range(MOST_STEPS):
             residuals = np.append(found.distances_mm[used], spheres.residuals_mm(found.pose))

@@ -78,7 +78,15 @@ def test_what_shows_nothing_is_refused(heads):
 
 @pytest.mark.parametrize("roughness", Roughness)
 def test_points_at_one_place_share_their_misfit(roughness):
-    covariance = Misfit(0.3, 20.0, roughness).covariance_mm2(np.array([0.0, 20.0, 500.0]))
+    covariance = Misfit(0.3, 20.0, roughness).covariance_mm2(np.array([0.0, 20.0, 500.0]), np.ones(3))
     assert covariance[0] == pytest.approx(0.09)
     assert 0.2 < covariance[1] / 0.09 < 0.6
     assert covariance[2] < 1e-6
+
+
+def test_skin_that_moved_as_one_went_in_on_one_side_and_out_on_the_other():
+    sagged = Misfit(0.3, 100.0, Roughness.SMOOTHER, is_sagging=True)
+    same, across, opposite = sagged.covariance_mm2(np.full(3, 50.0), np.array([1.0, 0.0, -1.0]))
+    assert same > 0.0
+    assert across == 0.0
+    assert opposite == -same
