@@ -571,7 +571,7 @@ def surface(
 ) -> None:
     """Registration on the skin without markers: errors, their prediction, refusals, on heads with misfits.
 
-    With the defaults about 10,000 registrations are judged, and 5,000 of development kinds run beside.
+    With the defaults about 10,000 registrations are judged, and 1,300 of two development kinds run beside.
     """
     from studies.surface import tables
     from studies.surface.study import SurfaceStudy

@@ -20,7 +20,7 @@ from procedures.registration.surface.surface_registration import register_surfac
 from ronna_hw.arrays import Array
 from ronna_hw.errors import RefusedError
 from studies.campaign.study import Unit
-from studies.surface.conditions import JUDGED, Coverage
+from studies.surface.conditions import FIRST_JUDGED, Coverage
 from studies.surface.scanning import Trial
 from studies.surface.study import draw_unit
 
@@ -42,7 +42,7 @@ def main() -> None:
     refused: dict[int, dict[str, int]] = {count: {} for count in COUNTS}
     named = {f"{count} screws, {moved_mm:g} mm": [0, 0] for count in COUNTS[1:] for moved_mm in MOVED_MM}
     for head in range(HEADS):
-        for skin in JUDGED:
+        for skin in FIRST_JUDGED:
             unit = Unit(f"{Coverage.FRONT_AND_EARS}|{skin}", head, 1)
             in_ct, trial, draw = draw_unit(SEED, unit)
             surface = in_ct.with_offset(draw.offset_mm)

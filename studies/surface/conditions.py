@@ -54,9 +54,17 @@ class Skin(StrEnum):
     SCALE = "scale and tilt of the CT"
     BAND = "pressed band"
     FOLDS = "relaxed folds"
+    PADS = "pads in the CT"
+    HYDRATION = "hydration"
+    SLIDE = "slid tissue"
+    BLUR = "thick slices"
+    TUBE = "tube at the mouth"
+    BEARD = "grown beard"
 
 
-JUDGED = (Skin.SAG, Skin.OEDEMA, Skin.SLICES, Skin.SCALE, Skin.BAND, Skin.FOLDS)
+JUDGED = (Skin.PADS, Skin.HYDRATION, Skin.SLIDE, Skin.BLUR, Skin.TUBE, Skin.BEARD)
+# These judged once and were looked at afterwards (decision 33).
+FIRST_JUDGED = (Skin.SAG, Skin.OEDEMA, Skin.SLICES, Skin.SCALE, Skin.BAND, Skin.FOLDS)
 DEVELOPMENT = tuple(skin for skin in Skin if skin not in JUDGED)  # shown, but not judged
 
 
@@ -79,18 +87,19 @@ COVERAGES: Mapping[Coverage, Scanned] = {
     ),
     Coverage.HAIR: Scanned(FRONT + SIDES, Hair.HAT),
 }
-SHOWN_BESIDE = (Coverage.ALL, Coverage.FRONT_AND_EARS)  # of development skins beside judged ones
+# Of the development skins beside judged ones
+SHOWN_BESIDE, SHOWN_SKINS = (Coverage.ALL, Coverage.FRONT_AND_EARS), (Skin.RIGID, Skin.ROUGH)
 REFUSABLE = (Coverage.FACE, Coverage.HAIR)  # refused, or predicted honestly
 
 
 def conditions(kinds: Kinds) -> list[tuple[Coverage, Skin]]:
-    """Return the conditions: all coverages of these kinds; development skins beside judged ones have two."""
+    """Return the conditions: all coverages of these kinds; two skins of development beside judged ones."""
     if kinds is not Kinds.ALL:
         return list(product(Coverage, JUDGED if kinds is Kinds.JUDGED else DEVELOPMENT))
     return [
         (coverage, skin)
         for coverage, skin in product(Coverage, Skin)
-        if skin in JUDGED or coverage in SHOWN_BESIDE
+        if skin in JUDGED or (skin in SHOWN_SKINS and coverage in SHOWN_BESIDE)
     ]
 
 

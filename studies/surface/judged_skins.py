@@ -1,18 +1,16 @@
-"""Kinds of misfit that judge: what gravity, fluid, straps, relaxed muscles and the CT do to the skin.
+"""Kinds of misfit that judge: pads, hydration, slid tissue, thick slices, a tube, a beard.
 
 They were written without sight of the estimator or its results (decision 33); nothing may be tuned on them.
 Each is the displacement along the outward normal, in the CT frame, outwards positive. Its rms over front and
-ears of a head is 0.35 to 0.8 of the drawn `size_mm`, in the mean of many draws, like that of the events among
-the development skins. Other parts of the head see more or less of it, by the physics. Beside it all skin has
-a weak field, of the drawn length.
+ears of a head is 0.4 to 0.8 of the drawn `size_mm`, in the mean of many draws. Other parts of the head see
+more or less of it, by the physics. Beside it all skin has a weak field, of the drawn length.
 
-Truth is the pose of the brain. A CT of wrong scale, or of a patient who moved, also shows targets at wrong
-places; that error is the CT's and not counted here. Estimates of ours are marked (U).
+All leave the brain where it was in the CT. Estimates of ours are marked (U).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,161 +18,157 @@ from scipy.special import expit
 
 from ronna_hw.arrays import Array
 from sim.world.head_surface.parametric_head import ParametricHead
-from sim.world.head_surface.regions import above_hair_line_mm
 from sim.world.head_surface.smooth_field import SmoothField
-from studies.surface.conditions import Draw, Skin
+from studies.surface.conditions import Skin
+from studies.surface.first_judged_skins import SOFT_MM, Kind, blend_bodies, field, soft_mm
 
-BESIDE_MM, SMOOTH = 0.05, 2.5  # weak field beside: its standard deviation (U), and the order of smooth fields
+UNEVEN_MM, UNEVEN = 60.0, 0.35  # length over which an effect varies on the head, and by how much (U)
 
-# Soft tissue over the bone by body of the head: in the middle 3 mm at the bridge of the nose to 16 mm below
-# (222 adults, Forensic Sci. Int. 2018, doi 10.1016/j.forsciint.2018.10.021); cheeks and forehead (U)
-SOFT_MM = {
-    "cranium": 5.0,
-    "brow": 5.0,
-    "nose": 4.0,
-    "eye": 4.0,
-    "ear": 3.0,
-    "cheek": 15.0,
-    "jaw": 11.0,
-    "neck": 15.0,
+# Pads of a CT's head holder on both sides, at temples, cheekbones or cheeks: before the ears, and above (U)
+PAD_RADII_MM, PAD_EDGE_MM = (18.0, 32.0), 6.0
+PAD_BEFORE_MM, PAD_HEIGHTS_MM = (0.0, 45.0), (-30.0, 25.0)
+PAD_SIDES = (0.6, 1.4)  # of each side, relative to both
+PAD_SHARE = 3.5  # of tissue as thick as the cheek's
+
+# Skin changes by hydration and relaxants (Perwög et al., Int. J. CARS 2018, doi 10.1007/s11548-018-1800-0)
+HYDRATION_SHARE = 0.8  # of the cheek
+
+# Tissue that slides along the bone takes its thickness with it. How far each body's slides, relative (U)
+MOBILE = {
+    "cranium": 1.0,
+    "brow": 1.0,
+    "nose": 0.2,
+    "eye": 0.3,
+    "ear": 0.2,
+    "cheek": 1.0,
+    "jaw": 0.7,
+    "neck": 1.0,
 }
-BLEND_MM = 6.0  # over which the thickness of one body goes over into another's (U)
-# A layer under its own weight moves by the square of its thickness. Between sitting and supine 1.2 mL move in
-# the cheek, about 1 mm over its area (53 persons; Ramesh et al., Aesthetic Surg. J. 2020).
-TURN_DEG, FLEXION_DEG = 75.0, (-20.0, 45.0)  # of the head on the table against that in the CT (U)
-SAG_SHARE = 2.7  # of the cheek, relative to the drawn size
+SLIDE_TURNS = (1.0, 0.4, 0.7)  # about the axes to the left, back and vertex: up and down most (U)
+PADDING = 0.15  # variation of the thickness over the drawn length, relative (U)
+SLIDE_STEP_MM = 1.0
+SLIDE_SHARE = 4.0  # way of the tissue
 
-# Fluid gathers in lax skin; lids most, then lips, then the cheek of the lower side (U)
-LIDS_SHARE, LIPS_SHARE, CHEEK_SHARE = 2.7, 2.2, 2.2
-LIDS_MM, LIPS_MM, CHEEK_MM, SWOLLEN_EDGE_MM = 6.0, 22.0, 1.5, 3.0  # reach of each, and the edge
-OTHER_SIDE = (0.0, 0.8)  # swelling of the other side's lids, relative
-MIDDLE_MM = 12.0  # over which one side goes over into the other
+# The edge of skin in the CT is as wide as a slice is thick, across the slice. A threshold beside its half,
+# as -300 HU is, shifts the surface there: outside the shown one in the mean, as air is cut off.
+BLUR_RATIOS = (3.0, 8.0)  # width of the edge across the slice, relative to along
+LEVEL = (0.6, 0.8)  # mean and standard deviation of the shift across the slice (U)
+TILT_DEG = (0.0, 20.0)  # of the slices, along the base of the skull (U)
+BLUR_SHARE = 1.1
 
-# 4 of 10 acute patients move in the CT, most by nodding (80 persons; Eur. J. Radiol. 144:109979, 2021)
-MOVES, SLICE_EDGE_MM = (1, 4), 3.0  # movements in a scan, and the height over which the slices blend
-NOD_RAD_PER_MM = 1.0 / 80.0  # nodding that moves the skin as far as a displacement does
-OTHER_TURN = 0.3  # turns about the other axes, relative to nodding (U)
-BRAIN = (-0.3, 1.0)  # lowest and highest part of the brain, relative to the cranium's height
-MOVE_SHARE = 0.95
+# A tube that is taped to one corner of the mouth pulls it aside and down; the tape presses the cheek (U)
+CORNER_MM, CORNER_BEHIND_MM = 24.0, 9.0  # of the corner from the middle, and behind the lips
+PULL, PULL_SPREAD = (1.0, 0.3, -0.7), 0.5  # mean direction: to its side, back, up; standard deviation
+PULLED_MM = (18.0, 30.0)  # standard deviation of the region that follows
+TAPE_MM, TAPE_LENGTH_MM, TAPE_PRESSURE = 11.0, 35.0, 0.6  # half its width and length
+TUBE_SHARE = 5.6
 
-# Tables are within 1 mm over their way and gantries within 1 degree (AAPM TG-66, quoted without the text at
-# hand): over 300 mm 0.3 % of scale; the shear is drawn as small, far below what is permitted
-STRAIN_PER_MM = 0.005  # of scale and shear for each millimetre of the drawn size
-
-# Straps are 25 to 50 mm wide with soft edges (U)
-BAND_MM = (8.0, 18.0)  # standard deviation across the pressed band
-BAND_HEIGHTS_MM, BAND_TILT = (-30.0, 45.0), 0.3  # of its plane above the head's centre; standard deviation
-BULGE = 0.5  # share of the pressed tissue that bulges beside
-TENSION_MM, TENSION = 60.0, 0.35  # length over which the pressure varies, and by how much (U)
-BAND_SHARE = 2.2
-
-# Folds across forehead and face follow the muscles, which relax under anaesthesia: long along, short across
-ALONG, ACROSS = 2.5, 0.4  # relative to the drawn length (U)
-AT_REST = 0.25  # folds where no muscle moves the skin, relative (U)
-FACE_FROM, FACE_EDGE = -0.3, 0.1  # front of the head, relative to the cranium's half length
-HAIR_EDGE_MM = 8.0
+# A beard grows by 0.3 to 0.5 mm a day, as is often stated; it hardly shows in a CT
+BEARD_LINE, BEARD_EDGE_MM = (
+    0.5,
+    4.0,
+)  # its upper line at the ears, from the base of the nose to their middle (U)
+BEARD_TO_EAR_MM, BEARD_BELOW_MM = 4.0, 15.0  # it ends before the ears, and below the chin
+LIPS_MM = (22.0, 7.0)  # half width and height of the lips
+TUFT_MM, STRAND_MM = 18.0, 2.0  # over which length and gaps of the hair vary
+DEEP_TO_TIPS = 1.7  # slope of the light's depth by the field of the strands: nearly uniform
+BEARD_SHARE = 3.1
 
 
-def judged_misfit(
-    skin: Skin, head: ParametricHead, points_mm: Array, draw: Draw, random: np.random.Generator
+def _pads(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
+    """Release soft tissue that pads pressed on both sides in the CT."""
+    own, (_, ear_y, ear_z) = points_mm - head.centre_ct_mm, head.landmarks.ear
+    middle = ear_y - random.uniform(*PAD_BEFORE_MM), ear_z + random.uniform(*PAD_HEIGHTS_MM)
+    radius_mm = random.uniform(*PAD_RADII_MM)
+    away = np.hypot(own[:, 1] - middle[0], own[:, 2] - middle[1])
+    right, left = abs(random.standard_normal()) * random.uniform(*PAD_SIDES, size=2)
+    sideways = np.abs(head.normals(points_mm)[:, 0])
+    pressed = np.where(own[:, 0] > 0.0, left, right) * expit((radius_mm - away) / PAD_EDGE_MM) * sideways
+    return np.asarray(PAD_SHARE * pressed * _relative_thickness(head, points_mm))
+
+
+def _hydration(
+    head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator
 ) -> Array:
-    """Return the displacement (n,) of a judged kind beside the weak field: no skin is still otherwise."""
-    beside = _field(random, draw.length_mm).at(points_mm)
-    return np.asarray(
-        BESIDE_MM * beside + draw.size_mm * _KINDS[skin](head, points_mm, draw.length_mm, random)
-    )
+    """Let soft tissue swell or shrink everywhere, by a part of its thickness."""
+    amount = HYDRATION_SHARE * random.standard_normal()
+    return np.asarray(amount * _relative_thickness(head, points_mm) * _uneven(points_mm, random))
 
 
-def _sag(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
-    """Let soft tissue follow gravity, whose direction changes as the head is turned."""
-    angles_deg = random.uniform(-TURN_DEG, TURN_DEG), random.uniform(*FLEXION_DEG)
-    down = np.array([0.0, 1.0, 0.0])  # in the CT: to the back
-    change = Rotation.from_euler("zx", angles_deg, degrees=True).apply(down) - down
-    change /= np.linalg.norm(change)
-    softness = (soft_mm(head, points_mm) / SOFT_MM["cheek"]) ** 2
-    return np.asarray(SAG_SHARE * softness * (head.normals(points_mm) @ change))
+def _slide(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
+    """Slide scalp and face along the bone: thick tissue comes to where thin was, and the reverse."""
+    padding = field(random, length_mm)
+    turn = random.standard_normal(3) * SLIDE_TURNS
+    own, normals = points_mm - head.centre_ct_mm, head.normals(points_mm)
+    way = np.cross(turn, own) / np.mean(head.semi_axes_mm)
+    way -= np.einsum("ni,ni->n", way, normals)[:, None] * normals
+
+    def thickness_mm(points: Array) -> Array:
+        return soft_mm(head, points) * (1.0 + PADDING * padding.at(points))
+
+    step = SLIDE_STEP_MM * way
+    thicker = (thickness_mm(points_mm - step) - thickness_mm(points_mm + step)) / (2.0 * SLIDE_STEP_MM)
+    return np.asarray(SLIDE_SHARE * blend_bodies(MOBILE, head, points_mm) * thicker)
 
 
-def _oedema(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
-    """Let fluid gather in lids, lips and the cheek of one side."""
-    own = points_mm - head.centre_ct_mm
-    parts, marks = head.parts(*np.ascontiguousarray(points_mm.T)), head.landmarks
-    on_side = expit(4.0 * float(random.choice((-1.0, 1.0))) * own[:, 0] / MIDDLE_MM)
-    lids = expit((LIDS_MM - parts.eye.value) / SWOLLEN_EDGE_MM)
-    from_mouth = np.linalg.norm(own - [0.0, marks.face_front_mm, marks.mouth_mm], axis=1)
-    lips = expit((LIPS_MM - from_mouth) / SWOLLEN_EDGE_MM)
-    cheek = on_side * expit((CHEEK_MM - parts.cheek.value) / SWOLLEN_EDGE_MM)
-    lids *= on_side + float(random.uniform(*OTHER_SIDE)) * (1.0 - on_side)
-    amounts = np.abs(random.standard_normal(3)) * (LIDS_SHARE, LIPS_SHARE, CHEEK_SHARE)
-    return np.asarray(amounts @ np.array([lids, lips, cheek]))
+def _blur(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
+    """Shift the level of the skin where it is along the slices of a CT with thick ones."""
+    across = Rotation.from_euler("x", random.uniform(*TILT_DEG), degrees=True).apply([0.0, 0.0, 1.0])
+    along_slice_squared = (head.normals(points_mm) @ across) ** 2
+    ratio = random.uniform(*BLUR_RATIOS)
+    wider = np.sqrt(1.0 + (ratio**2 - 1.0) * along_slice_squared) - 1.0
+    return np.asarray(BLUR_SHARE * random.normal(*LEVEL) * wider / (ratio - 1.0))
 
 
-def _slices(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
-    """Move the skin above a slice against that below, as by a patient who moved during the CT."""
-    own = points_mm - head.centre_ct_mm
-    lowest, highest = head.landmarks.menton_mm, head.semi_axes_mm[2]
-    brain = highest * np.linspace(*BRAIN)
-    moved = np.zeros_like(own)
-    for _ in range(int(random.integers(*MOVES))):
-        height = random.uniform(lowest, highest)
-        shift = random.standard_normal(3)
-        turn = NOD_RAD_PER_MM * random.standard_normal(3) * (1.0, OTHER_TURN, OTHER_TURN)
-        above, brain_above = (
-            expit(4.0 * (heights - height) / SLICE_EDGE_MM) for heights in (own[:, 2], brain)
-        )
-        moved += (above - brain_above.mean())[:, None] * (shift + np.cross(turn, own))
-    return np.asarray(MOVE_SHARE * np.einsum("ni,ni->n", moved, head.normals(points_mm)))
+def _tube(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
+    """Pull a corner of the mouth with its cheek, and press the cheek under the tape."""
+    marks, side = head.landmarks, float(random.choice((-1.0, 1.0)))
+    own = (points_mm - head.centre_ct_mm) * (side, 1.0, 1.0)
+    normals = head.normals(points_mm) * (side, 1.0, 1.0)
+    from_corner = own - [CORNER_MM, marks.face_front_mm + CORNER_BEHIND_MM, marks.mouth_mm]
+    follows = np.exp(-0.5 * np.square(from_corner).sum(axis=1) / random.uniform(*PULLED_MM) ** 2)
+    pull = np.array(PULL) + PULL_SPREAD * random.standard_normal(3)
+    tape = np.array([1.0, 1.0, random.uniform(-0.3, 0.6)])  # from the corner over the cheek
+    tape /= np.linalg.norm(tape)
+    along = from_corner @ tape
+    beside_squared = np.square(from_corner - along[:, None] * tape).sum(axis=1)
+    taped = np.exp(-0.5 * beside_squared / TAPE_MM**2 - 0.5 * (along / TAPE_LENGTH_MM - 1.0) ** 2)
+    taped *= expit(4.0 * own[:, 0] / CORNER_MM)
+    pulled = abs(random.standard_normal()) * follows * (normals @ pull)
+    return np.asarray(TUBE_SHARE * (pulled - TAPE_PRESSURE * abs(random.standard_normal()) * taped))
 
 
-def _scale(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
-    """Strain the head by a CT of wrong scale, in the slice and along the table, and a tilted gantry.
-
-    The turn that is part of a shear is left out, as it is no misfit.
-    """
-    in_slice, along, shear = STRAIN_PER_MM * random.standard_normal(3)
-    strain = np.diag([in_slice, in_slice, along])
-    strain[1, 2] = strain[2, 1] = 0.5 * shear
-    moved = (points_mm - head.centre_ct_mm) @ strain
-    return np.asarray(np.einsum("ni,ni->n", moved, head.normals(points_mm)))
-
-
-def _band(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
-    """Press a band around the head by a strap in the CT or in the theatre; tissue bulges beside it."""
-    axis = np.append(BAND_TILT * random.standard_normal(2), 1.0)
-    height, width = random.uniform(*BAND_HEIGHTS_MM), random.uniform(*BAND_MM)
-    away = ((points_mm - head.centre_ct_mm) @ axis / np.linalg.norm(axis) - height) / width
-    pressed = (1.0 - BULGE * away**2) * np.exp(-0.5 * away**2)
-    pressure = 1.0 + TENSION * _field(random, TENSION_MM).at(points_mm)
-    return np.asarray(BAND_SHARE * float(random.choice((-1.0, 1.0))) * pressed * pressure)
+def _beard(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
+    """Let a beard grow: light ends between the skin and the tips."""
+    own, marks = points_mm - head.centre_ct_mm, head.landmarks
+    _, ear_y, ear_z = marks.ear
+    back = np.clip((own[:, 1] - marks.face_front_mm) / (ear_y - marks.face_front_mm), 0.0, 1.0)
+    line = marks.nose_base_mm + BEARD_LINE * back * (ear_z - marks.nose_base_mm)
+    below = expit((line - own[:, 2]) / BEARD_EDGE_MM - 1.0)
+    above_end = expit((own[:, 2] - marks.menton_mm + BEARD_BELOW_MM) / BEARD_EDGE_MM)
+    before_ears = expit((ear_y - BEARD_TO_EAR_MM - own[:, 1]) / BEARD_EDGE_MM)
+    from_mouth = np.hypot(own[:, 0] / LIPS_MM[0], (own[:, 2] - marks.mouth_mm) / LIPS_MM[1])
+    beside_lips = expit(LIPS_MM[1] * (from_mouth - 1.0))
+    tufts = np.maximum(1.0 + UNEVEN * field(random, TUFT_MM).at(points_mm), 0.0)
+    strands = SmoothField(int(random.integers(2**31)), "beard strands", STRAND_MM, 0.5).at(points_mm)
+    length = BEARD_SHARE * abs(random.standard_normal()) * tufts * expit(DEEP_TO_TIPS * strands)
+    return np.asarray(length * below * above_end * before_ears * beside_lips)
 
 
-def _folds(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
-    """Flatten or deepen folds of forehead and face, as muscles relax and skin is stretched."""
-    own = points_mm - head.centre_ct_mm
-    lengths_mm = length_mm * np.array([ALONG, ALONG, ACROSS])
-    field = _field(random, 1.0).at(own / lengths_mm)
-    front = expit((FACE_FROM - own[:, 1] / head.semi_axes_mm[1]) / FACE_EDGE)
-    mobile = front * expit(-above_hair_line_mm(head, points_mm) / HAIR_EDGE_MM)
-    return np.asarray((AT_REST + (1.0 - AT_REST) * mobile) * field)
+def _relative_thickness(head: ParametricHead, points_mm: Array) -> Array:
+    """Return the thickness of the soft tissue relative to the cheek's."""
+    return np.asarray(soft_mm(head, points_mm) / SOFT_MM["cheek"])
 
 
-def soft_mm(head: ParametricHead, points_mm: Array) -> Array:
-    """Return the thickness (n,) of the soft tissue at points (n, 3) of the skin."""
-    parts = head.parts(*np.ascontiguousarray(points_mm.T))._asdict()
-    near = np.array([np.exp(-parts[body].value / BLEND_MM) for body in SOFT_MM])
-    return np.asarray(np.array(list(SOFT_MM.values())) @ near / near.sum(axis=0))
+def _uneven(points_mm: Array, random: np.random.Generator) -> Array:
+    return np.asarray(1.0 + UNEVEN * field(random, UNEVEN_MM).at(points_mm))
 
 
-_Kind = Callable[[ParametricHead, Array, float, np.random.Generator], Array]
-_KINDS: Mapping[Skin, _Kind] = {
-    Skin.SAG: _sag,
-    Skin.OEDEMA: _oedema,
-    Skin.SLICES: _slices,
-    Skin.SCALE: _scale,
-    Skin.BAND: _band,
-    Skin.FOLDS: _folds,
+JUDGED_KINDS: Mapping[Skin, Kind] = {
+    Skin.PADS: _pads,
+    Skin.HYDRATION: _hydration,
+    Skin.SLIDE: _slide,
+    Skin.BLUR: _blur,
+    Skin.TUBE: _tube,
+    Skin.BEARD: _beard,
 }
-
-
-def _field(random: np.random.Generator, length_mm: float) -> SmoothField:
-    return SmoothField(int(random.integers(2**31)), "judged skin", length_mm, SMOOTH)

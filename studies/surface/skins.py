@@ -11,8 +11,9 @@ from ronna_hw.arrays import Array
 from sim.world.head_surface.parametric_head import ParametricHead
 from sim.world.head_surface.skin_shift import ShiftedHead, SkinShift
 from sim.world.head_surface.smooth_field import SmoothField
-from studies.surface.conditions import JUDGED, SHIFT_EDGE_MM, SHIFT_MM, SHIFTED_SHARE, Draw, Skin
-from studies.surface.judged_skins import judged_misfit
+from studies.surface.conditions import SHIFT_EDGE_MM, SHIFT_MM, SHIFTED_SHARE, Draw, Skin
+from studies.surface.first_judged_skins import FIRST_JUDGED_KINDS, displace_beside
+from studies.surface.judged_skins import JUDGED_KINDS
 
 ORDERS = {Skin.ROUGH: 0.5, Skin.SMOOTH: 2.5, Skin.SMOOTHEST: float("inf")}
 PATCHES, PATCH_EDGE_MM, PATCH_RADII = (6, 15), 4.0, (0.6, 1.5)  # radii relative to the length
@@ -108,7 +109,7 @@ _KINDS: Mapping[Skin, Displacement] = {
     Skin.SWELLING: _swelling,
     Skin.TAPE: _tape,
     Skin.PILLOW: _pillow,
-    **{skin: partial(judged_misfit, skin) for skin in JUDGED},
+    **{skin: partial(displace_beside, kind) for skin, kind in {**FIRST_JUDGED_KINDS, **JUDGED_KINDS}.items()},
 }
 
 

@@ -14,7 +14,16 @@ from ronna_hw.frames import Frame, Transform
 from sim.world.head_surface.regions import Region, regions
 from studies.campaign.study import Unit, add_up
 from studies.surface import tables
-from studies.surface.conditions import DEVELOPMENT, JUDGED, SHIFTED, SIZE_MM, Coverage, Draw, Skin
+from studies.surface.conditions import (
+    DEVELOPMENT,
+    FIRST_JUDGED,
+    JUDGED,
+    SHIFTED,
+    SIZE_MM,
+    Coverage,
+    Draw,
+    Skin,
+)
 from studies.surface.export import export_study
 from studies.surface.heads import draw_head
 from studies.surface.kinds import Kinds
@@ -79,12 +88,18 @@ SHIFTED_BY: dict[Skin, tuple[float, float]] = {  # rms over the front and the ea
     Skin.SCALE: (0.3, 0.5),
     Skin.BAND: (0.55, 0.8),
     Skin.FOLDS: (0.6, 0.8),
+    Skin.PADS: (0.4, 0.65),
+    Skin.HYDRATION: (0.4, 0.65),
+    Skin.SLIDE: (0.4, 0.65),
+    Skin.BLUR: (0.4, 0.65),
+    Skin.TUBE: (0.4, 0.65),
+    Skin.BEARD: (0.4, 0.75),
 }
 
 
 @functools.cache
-def judged(skin: Skin) -> np.ndarray:
-    """Return displacements (draw, point) of a judged skin at points of the front, and 0.5 mm beside."""
+def displaced(skin: Skin) -> np.ndarray:
+    """Return displacements (draw, point) of a skin at points of the front, and 0.5 mm beside."""
     head = draw_head(SEED, 0)
     front = head.skin_mm[(head.normals[:, 1] < 0.3) & (head.skin_mm[:, 2] > -100.0)][::40]
     beside = front + 0.5 * np.eye(3)[np.arange(len(front)) % 3]
@@ -92,33 +107,51 @@ def judged(skin: Skin) -> np.ndarray:
     return np.array([displace(skin, head.head, points, DRAW, np.random.default_rng(k)) for k in range(60)])
 
 
-@pytest.mark.parametrize("skin", JUDGED)
-def test_a_judged_skin_has_its_stated_size_over_the_front_of_the_head(skin: Skin) -> None:
+@pytest.mark.parametrize("skin", SHIFTED_BY)
+def test_a_skin_that_judges_or_judged_has_its_stated_size_over_the_front_of_the_head(skin: Skin) -> None:
     low, high = SHIFTED_BY[skin]
-    front, _ = np.split(judged(skin), 2, axis=1)
+    front, _ = np.split(displaced(skin), 2, axis=1)
     assert low * DRAW.size_mm < np.sqrt(np.mean(front**2)) < high * DRAW.size_mm
 
 
-@pytest.mark.parametrize("skin", JUDGED)
-def test_a_judged_skin_is_smooth_and_differs_by_the_seed(skin: Skin) -> None:
-    front, beside = np.split(judged(skin), 2, axis=1)
-    assert np.sqrt(np.mean((front - beside) ** 2)) < 0.15 * np.sqrt(np.mean(front**2))
+@pytest.mark.parametrize("skin", SHIFTED_BY)
+def test_a_skin_but_a_beard_is_smooth_and_all_differ_by_the_seed(skin: Skin) -> None:
+    front, beside = np.split(displaced(skin), 2, axis=1)
+    is_smooth = np.sqrt(np.mean((front - beside) ** 2)) < 0.15 * np.sqrt(np.mean(front**2))
+    assert is_smooth == (skin is not Skin.BEARD)
     assert np.abs(np.diff(front, axis=0)).max(axis=1).min() > 1e-3
 
 
-def test_gravity_moves_the_cheeks_more_than_the_forehead_and_fluid_moves_the_skin_outwards_only() -> None:
+def move(skin: Skin, points: np.ndarray) -> np.ndarray:
+    """Return displacements (draw, point), so large that the weak field beside them is nothing."""
+    head, big = draw_head(SEED, 0).head, replace(DRAW, size_mm=10.0)
+    return np.array([displace(skin, head, points, big, np.random.default_rng(k)) for k in range(30)])
+
+
+def skin_of(region: Region) -> np.ndarray:
     head = draw_head(SEED, 0)
-    names = regions(head.head, head.skin_mm)
-    cheeks, foreheads = (head.skin_mm[names == name][::10] for name in (Region.CHEEK, Region.FOREHEAD))
+    return np.asarray(head.skin_mm[regions(head.head, head.skin_mm) == region][::10])
 
-    def move(skin: Skin, points: np.ndarray) -> np.ndarray:
-        big = replace(DRAW, size_mm=10.0)  # beside which the weak field is nothing
-        return np.array([displace(skin, head.head, points, big, np.random.default_rng(k)) for k in range(30)])
 
+def test_gravity_moves_the_cheeks_more_than_the_forehead_and_fluid_moves_the_skin_outwards_only() -> None:
+    cheeks, foreheads = skin_of(Region.CHEEK), skin_of(Region.FOREHEAD)
     assert np.std(move(Skin.SAG, cheeks)) > 4.0 * np.std(move(Skin.SAG, foreheads))
     swollen = move(Skin.OEDEMA, cheeks)
     assert swollen.min() > -0.3  # of the weak field
     assert swollen.max() > 3.0
+
+
+def test_pads_a_tube_and_a_beard_leave_the_vault_alone_and_pads_and_a_beard_move_outwards_only() -> None:
+    for skin in (Skin.PADS, Skin.TUBE, Skin.BEARD):
+        assert np.std(move(skin, skin_of(Region.CHEEK))) > 5.0 * np.std(move(skin, skin_of(Region.VAULT)))
+    for skin in (Skin.PADS, Skin.BEARD):
+        assert move(skin, skin_of(Region.CHEEK)).min() > -0.3  # of the weak field
+
+
+def test_thick_slices_shift_the_vertex_and_hydration_the_cheeks_most() -> None:
+    vault, cheeks, ears = (skin_of(region) for region in (Region.VAULT, Region.CHEEK, Region.EAR))
+    assert np.std(move(Skin.BLUR, vault)) > 2.0 * np.std(move(Skin.BLUR, ears))
+    assert np.std(move(Skin.HYDRATION, cheeks)) > 2.0 * np.std(move(Skin.HYDRATION, vault))
 
 
 def test_a_ct_of_wrong_scale_moves_the_skin_by_less_than_half_a_percent_of_its_distance() -> None:
@@ -133,10 +166,10 @@ def test_a_developer_runs_the_study_without_the_judged_skins_and_the_default_has
     def skins(kinds: Kinds) -> list[str]:
         return [one.condition.partition("|")[2] for one in SurfaceStudy(1, shifts=0, kinds=kinds).units()]
 
-    assert set(skins(Kinds.DEVELOPMENT)) == set(DEVELOPMENT)
+    assert set(skins(Kinds.DEVELOPMENT)) == set(DEVELOPMENT) > set(FIRST_JUDGED)
     assert set(skins(Kinds.JUDGED)) == set(JUDGED)
     assert len(skins(Kinds.JUDGED)) == 30  # six kinds, five coverages: 10,020 judged with 334 heads
-    assert sorted(skins(Kinds.ALL)) == sorted([*skins(Kinds.JUDGED), *DEVELOPMENT, *DEVELOPMENT])
+    assert sorted(skins(Kinds.ALL)) == sorted([*skins(Kinds.JUDGED), *2 * (Skin.RIGID, Skin.ROUGH)])
 
 
 def test_tables_of_a_study_with_judged_skins_are_of_these_alone() -> None:
@@ -145,8 +178,8 @@ def test_tables_of_a_study_with_judged_skins_are_of_these_alone() -> None:
         sums = {f"{Coverage.ALL}|{skin}": one for skin in skins}
         return tables.tables(sums)[0].note
 
-    assert goals(Skin.BAND, Skin.TAPE, Skin.PILLOW).startswith("1 judged registrations")
-    assert goals(Skin.TAPE, Skin.PILLOW).startswith("2 development registrations")
+    assert goals(Skin.PADS, Skin.BAND, Skin.TAPE).startswith("1 judged registrations")
+    assert goals(Skin.BAND, Skin.TAPE).startswith("2 development registrations")
 
 
 def test_a_third_of_the_skin_is_shifted_by_one_millimetre() -> None:
