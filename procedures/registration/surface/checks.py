@@ -57,7 +57,7 @@ class SurfaceLimits:
     # Shares of the scan that are another body, that are another body or hair, and that are skin that changed.
     # Safety against hands, drapes and hair taken for the head, and skin that moved. Source: parametric heads.
     most_excluded: float = 0.25
-    most_hidden: float = 0.33
+    most_hidden: float = 0.28
     most_changed: float = 0.2
 
 
@@ -81,13 +81,13 @@ def require_skin(is_other: Mask, limits: SurfaceLimits) -> None:
         )
 
 
-def require_bare_skin(is_left_out: Mask, limits: SurfaceLimits) -> None:
-    """Raise SRF-010 if other bodies and hair make up too much of the scan."""
-    if is_left_out.mean() > limits.most_hidden:
+def require_bare_skin(excluded: Mask, limits: SurfaceLimits) -> None:
+    """Raise SRF-010 if other bodies and hair make up too much of the scanned area."""
+    if excluded.mean() > limits.most_hidden:
         raise MUCH_EXCLUDED(
             "much of the scan is hair, or off the surface of the CT",
             limit=f"{limits.most_hidden:.0%}",
-            got=f"{is_left_out.mean():.0%}",
+            got=f"{excluded.mean():.0%}",
         )
 
 

@@ -26,6 +26,7 @@ class ErrorColumns:
     """
 
     displacements_mm: Array
+    sources: tuple[tuple[str, int], ...]  # names, and numbers of their columns
     spheres: int = 0  # rows that are looks at spheres
 
     @classmethod
@@ -36,7 +37,7 @@ class ErrorColumns:
         one for each look at a sphere.
         """
         looks, look_of = np.unique(scan.look, return_inverse=True)
-        columns = [np.zeros((len(rows) + spheres, AXES, 0))]
+        columns, names = [np.zeros((len(rows) + spheres, AXES, 0))], list[tuple[str, int]]()
         for one in sources:
             given = len(one.at_spheres_mm if isinstance(one, SharedErrors) else one.at_spheres_mm2)
             is_by_point = isinstance(one, SharedErrors) and given == len(scan) + spheres
@@ -48,10 +49,11 @@ class ErrorColumns:
                 )
             of_rows = rows if is_by_point else look_of[rows]
             columns.append(by_look(one)[np.append(of_rows, given - spheres + np.arange(spheres))])
+            names.append((one.source, columns[-1].shape[2]))
         displacements = np.concatenate(columns, axis=2)
         if not np.isfinite(displacements).all():
             raise BAD_SURFACE_INPUT("an error of the arm is not finite")
-        return cls(displacements, spheres)
+        return cls(displacements, tuple(names), spheres)
 
     def along(self, directions: Array) -> Array:
         """Return the displacements (n, k) of points along directions (n, 3) of the robot frame."""
@@ -75,13 +77,41 @@ def by_look(source: SharedErrors | IndependentErrors) -> Array:
     return columns.reshape(looks, AXES, looks * AXES)
 
 
-def at_target(sources: Sources) -> tuple[Array, Array]:
-    """Return a target's displacements (3, k) by the same columns, and its independent covariance (3, 3)."""
-    columns, covariance = [np.zeros((AXES, 0))], np.zeros((AXES, AXES))
-    for one in sources:
+@dataclass(frozen=True, eq=False)
+class AtTarget:
+    """Error of one source at a target: displacements (3, k) by its errors at the looks, and beside them."""
+
+    source: str
+    shared_mm: Array
+    independent_mm2: Array
+
+    @classmethod
+    def of(cls, sources: Sources, columns: Sequence[tuple[str, int]]) -> tuple[AtTarget, ...]:
+        """Match the sources at a target by name to those of the looks, in their order; the others follow.
+
+        A source that the looks do not have is independent of them, one that the target does not have is zero
+        there. Raises SRF-001 for another number of columns.
+        """
+        left, found = list(sources), []
+        for name, count in columns:
+            number = next((row for row, one in enumerate(left) if one.source == name), None)
+            here = cls._of(left.pop(number)) if number is not None else None
+            if here is None:
+                here = cls(name, np.zeros((AXES, count)), np.zeros((AXES, AXES)))
+            if here.shared_mm.shape[1] != count:
+                raise BAD_SURFACE_INPUT(
+                    f"the source '{name}' differs between looks and target",
+                    expected=f"{count} errors",
+                    got=f"{here.shared_mm.shape[1]}",
+                )
+            found.append(here)
+        for one in map(cls._of, left):
+            beside_mm2 = one.independent_mm2 + one.shared_mm @ one.shared_mm.T
+            found.append(cls(one.source, np.zeros((AXES, 0)), beside_mm2))
+        return tuple(found)
+
+    @classmethod
+    def _of(cls, one: SharedErrors | IndependentErrors) -> AtTarget:
         if isinstance(one, SharedErrors):
-            columns.append(one.at_target_mm)
-        else:
-            columns.append(np.zeros((AXES, AXES * len(one.at_spheres_mm2))))
-            covariance = covariance + one.at_target_mm2
-    return np.concatenate(columns, axis=1), covariance
+            return cls(one.source, one.at_target_mm, np.zeros((AXES, AXES)))
+        return cls(one.source, np.zeros((AXES, AXES * len(one.at_spheres_mm2))), one.at_target_mm2)

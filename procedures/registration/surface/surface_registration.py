@@ -9,7 +9,7 @@ points as if they were independent.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -49,7 +49,7 @@ from procedures.registration.surface.prediction import SurfacePrediction, mixtur
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
-from procedures.registration.surface.shared_errors import ErrorColumns, Sources, at_target
+from procedures.registration.surface.shared_errors import AtTarget, ErrorColumns, Sources
 from procedures.registration.surface.spheres import (
     LookedSpheres,
     SphereAlone,
@@ -90,6 +90,7 @@ class SurfaceRegistration:
     mixture: PoseMixture = field(repr=False)
     gains: Array = field(repr=False)  # (c, 6, m + 3k) of the points used and of the looks at spheres
     along_mm: Array = field(repr=False)  # (m + 3k, q) their displacements by the shared errors
+    sources: tuple[tuple[str, int], ...]  # of these errors by name, and their numbers of columns
     noise_mm2: Array = field(repr=False)  # (m,) of the used points, along their normals
     sphere_noise_mm2: Array = field(repr=False)  # (3k, 3k) of the looks at spheres
     sphere_residuals_mm: Array
@@ -117,20 +118,26 @@ class SurfaceRegistration:
         """Predict the error at a target (3,) of the CT.
 
         `arm_at_target` are the sources that were given to the registration, with what they displace at this
-        target; without them the error is that of the registration alone. Raises REG-001.
+        target; without them the error is that of an arm that errs nowhere. Raises REG-001, SRF-001.
         """
-        slope, gains, shared_mm, independent_mm2 = self._at(target_ct_mm, arm_at_target)
-        crossed = slope @ self.gains @ self.along_mm @ shared_mm.T if arm_at_target else np.zeros((3, 3))
-        whole = slope @ self.mixture.covariances @ slope.T + crossed + np.swapaxes(crossed, -1, -2)
-        whole, offsets = whole + shared_mm @ shared_mm.T, self.mixture.shifts @ slope.T
-        if arm_at_target and self.spheres:
+        slope, gains, at_target = self._at(target_ct_mm, arm_at_target)
+        by_arm, by_spheres = gains @ self.along_mm, gains[:, :, len(self.noise_mm2) :]
+        whole, offsets = slope @ self.mixture.covariances @ slope.T, self.mixture.shifts @ slope.T
+        known_mm2 = by_spheres @ self.sphere_noise_mm2 @ np.swapaxes(by_spheres, 1, 2)
+        if not arm_at_target:
+            by_skin = whole - known_mm2 - by_arm @ np.swapaxes(by_arm, 1, 2)
+            return SurfacePrediction(self.mixture.weights, offsets, UNMODELLED**2 * by_skin + known_mm2)
+        shared_mm = _shared(at_target)
+        crossed = slope @ self.gains @ self.along_mm @ shared_mm.T
+        whole = whole + crossed + np.swapaxes(crossed, 1, 2) + shared_mm @ shared_mm.T
+        if self.spheres:
             whole = whole - self.arm.covariances_mm2(shared_mm)
             corrections = self.arm.corrections_mm(shared_mm)
             offsets = offsets + corrections - self.mixture.weights @ corrections
-        by_arm, by_spheres = gains @ self.along_mm + shared_mm, gains[:, :, len(self.noise_mm2) :]
-        known_mm2 = by_arm @ np.swapaxes(by_arm, 1, 2)
-        known_mm2 = known_mm2 + by_spheres @ self.sphere_noise_mm2 @ np.swapaxes(by_spheres, 1, 2)
-        covariances = UNMODELLED**2 * (whole - known_mm2) + known_mm2 + independent_mm2
+        by_arm = by_arm + shared_mm
+        known_mm2 = known_mm2 + by_arm @ np.swapaxes(by_arm, 1, 2)
+        beside_mm2 = sum(one.independent_mm2 for one in at_target)
+        covariances = UNMODELLED**2 * (whole - known_mm2) + known_mm2 + beside_mm2
         return SurfacePrediction(self.mixture.weights, offsets, covariances)
 
     def correct(self, arm_at_target: Sources) -> tuple[Array, float]:
@@ -138,9 +145,9 @@ class SurfaceRegistration:
 
         Zero without spheres: `predict` counts with it. The limit holds 999 of 1,000.
         """
-        shared, _ = at_target(arm_at_target)
         if not self.spheres:
             return np.zeros(3), 0.0
+        shared = _shared(AtTarget.of(arm_at_target, self.sources))
         weights, covariances = self.mixture.weights, self.arm.covariances_mm2(shared)
         limit_mm = mixture_limit_mm(weights, np.zeros((len(weights), 3)), covariances, EXPLAINED)
         return np.asarray(weights @ self.arm.corrections_mm(shared)), limit_mm
@@ -150,7 +157,7 @@ class SurfaceRegistration:
 
         The skin has what the measurement and the arm do not explain, the spread of the hypotheses included.
         """
-        _, gains, _, _ = self._at(target_ct_mm, arm_at_target)
+        _, gains, at_target = self._at(target_ct_mm, arm_at_target)
         weights = self.mixture.weights
         by_points, by_spheres = np.split(gains, [len(self.noise_mm2)], axis=2)
         shares = {LINE: float(weights @ np.sum(by_points**2 * self.noise_mm2, axis=(1, 2)))}
@@ -158,26 +165,33 @@ class SurfaceRegistration:
             mean_mm2 = np.einsum("hij,jk,hik->h", by_spheres, self.sphere_noise_mm2, by_spheres)
             shares[SPHERES] = float(weights @ mean_mm2)
         first = 0
-        for one in arm_at_target:
-            shared, independent_mm2 = at_target([one])
-            columns = gains @ self.along_mm[:, first : first + shared.shape[1]] + shared
-            first += shared.shape[1]
-            mean_mm2 = float(weights @ np.sum(columns**2, axis=(1, 2)) + np.trace(independent_mm2))
+        for one in at_target:
+            last = first + one.shared_mm.shape[1]
+            columns = gains @ self.along_mm[:, first:last] + one.shared_mm
+            mean_mm2 = float(weights @ np.sum(columns**2, axis=(1, 2)) + np.trace(one.independent_mm2))
             shares[one.source] = shares.get(one.source, 0.0) + mean_mm2
+            first = last
         rest_mm2 = self.predict(target_ct_mm, arm_at_target).rms_mm ** 2 - sum(shares.values())
         return {SKIN: max(rest_mm2, 0.0), **shares}
 
-    def _at(self, target_ct_mm: ArrayLike, arm_at_target: Sources) -> tuple[Array, Array, Array, Array]:
-        """Return a target's slope (3, 6), effects of all rows (c, 3, n), arm's errors (3, q), and (3, 3)."""
+    def _at(
+        self, target_ct_mm: ArrayLike, arm_at_target: Sources
+    ) -> tuple[Array, Array, tuple[AtTarget, ...]]:
+        """Return a target's slope (3, 6), the effects of all rows (c, 3, n), and the arm's errors."""
         target = validate_targets(target_ct_mm)[0]
         slope = -self.robot_from_ct.rotation_matrix @ pose_jacobian(target, self.centre_ct_mm)
         gains = slope @ self.gains
         if not arm_at_target:
-            return slope, gains, np.zeros((3, self.along_mm.shape[1])), np.zeros((3, 3))
-        shared_mm, independent_mm2 = at_target(arm_at_target)
+            return slope, gains, ()
+        at_target = AtTarget.of(arm_at_target, self.sources)
         if self.spheres:  # what is made up for
-            gains = gains - shared_mm @ self.arm.gains
-        return slope, gains, shared_mm, independent_mm2
+            gains = gains - _shared(at_target) @ self.arm.gains
+        return slope, gains, at_target
+
+
+def _shared(at_target: Sequence[AtTarget]) -> Array:
+    """Return the displacements (3, q) of a target by all shared errors."""
+    return np.concatenate([one.shared_mm for one in at_target], axis=1)
 
 
 def register_surface(
@@ -212,8 +226,8 @@ def register_surface(
     )
     found = Settled.at(pose, merged.points_mm, merged.view_mm, surface)
     used = ~mark_other_bodies(found) & ~is_hair
-    left_out = np.append(~used, np.ones(len(far), dtype=bool))
-    require_bare_skin(left_out, limits)
+    excluded = np.append(~used, np.ones(len(far), dtype=bool))
+    require_bare_skin(excluded, limits)
     coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
     side_proven = is_side_proven(found, used, merged.points_mm, merged.view_mm, surface, axes)
     columns = ErrorColumns.of(arm, scan, rows, len(spheres.numbers))
@@ -226,23 +240,27 @@ def register_surface(
     matrix[:3, :3], matrix[:3, 3] = found.pose.rotation, found.pose.translation_mm
     ct_from_robot = Transform(Frame.CT, Frame.ROBOT, RigidTransform.from_matrix(matrix))
     beside = Settled.at(found.pose, scan.points_mm[far], scan.view_mm[far], surface)
+    changed = adjusted.changed
+    if changed is not None:
+        changed = replace(changed, points=np.append(changed.points, np.zeros(len(far), dtype=bool)))
     registration = SurfaceRegistration(
-        ct_from_robot.inverse(),
-        np.vstack([merged.points_mm, scan.points_mm[far]]),
-        np.append(found.distances_mm, beside.distances_mm),
-        left_out,
-        adjusted.changed,
-        coverage,
-        side_proven,
-        adjusted.centre_mm,
-        adjusted.mixture,
-        adjusted.gains,
-        adjusted.along_mm,
-        adjusted.noise_mm2,
-        spheres.covariance_mm2,
-        spheres.residuals_mm(found.pose).reshape(-1, 3),
-        adjusted.spheres,
-        adjusted.arm,
+        robot_from_ct=ct_from_robot.inverse(),
+        points_mm=np.vstack([merged.points_mm, scan.points_mm[far]]),
+        residuals_mm=np.append(found.distances_mm, beside.distances_mm),
+        excluded=excluded,
+        changed=changed,
+        coverage=coverage,
+        side_proven=side_proven,
+        centre_ct_mm=adjusted.centre_mm,
+        mixture=adjusted.mixture,
+        gains=adjusted.gains,
+        along_mm=adjusted.along_mm,
+        sources=columns.sources,
+        noise_mm2=adjusted.noise_mm2,
+        sphere_noise_mm2=spheres.covariance_mm2,
+        sphere_residuals_mm=spheres.residuals_mm(found.pose).reshape(-1, 3),
+        spheres=adjusted.spheres,
+        arm=adjusted.arm,
     )
     for target in targets:
         predicted = registration.predict(target)

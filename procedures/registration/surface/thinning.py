@@ -30,7 +30,7 @@ ABOVE_QUANTILE, ABOVE_SHARE = 0.84, 1.5  # outwards from the median; relative to
 class MergedScan(NamedTuple):
     """Scan with one point for its neighbours, the rows of these points in it, and which of them are hair.
 
-    `far` are rows of some points that were left out, as they are far from the surface.
+    `far` are rows of points, as far apart, that were left out since they are far from the surface.
     """
 
     scan: SurfaceScan
@@ -44,7 +44,7 @@ def thin_points(points_mm: Array, most: int = MOST_POINTS) -> NDArray[np.int64]:
 
     Of all points in a cell of the grid, the one nearest to their mean is kept.
     """
-    order, cell = _cells(points_mm, np.zeros(len(points_mm), dtype=np.int64), most)
+    order, cell, _ = _cells(points_mm, np.zeros(len(points_mm), dtype=np.int64), most)
     return order[_middles(points_mm[order], cell)]
 
 
@@ -56,7 +56,7 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
     """
     is_near = placed.valid & (np.abs(placed.distances_mm) < NEAR_MM)
     near, far = np.flatnonzero(is_near), np.flatnonzero(~is_near)
-    order, cell = _cells(scan.points_mm[near], scan.look[near], most)
+    order, cell, spacing_mm = _cells(scan.points_mm[near], scan.look[near], most)
     ordered = near[order]
     cells = np.arange(cell.max() + 1) if len(cell) else cell
     rows = ordered[_middles(scan.points_mm[ordered], cell)]
@@ -78,7 +78,8 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
         covariance_mm2=merged.covariance_mm2 * scale[:, None, None],
     )
     is_hair = _mark_hair(placed, near, rows, noise_mm2[rows])
-    return MergedScan(merged, rows, is_hair, far[thin_points(scan.points_mm[far], most)])
+    apart, beside, _ = _cells(scan.points_mm[far], scan.look[far], len(scan), spacing_mm)
+    return MergedScan(merged, rows, is_hair, far[apart[_middles(scan.points_mm[far[apart]], beside)]])
 
 
 def _mark_hair(placed: Settled, near: NDArray[np.int64], rows: NDArray[np.int64], noise_mm2: Array) -> Mask:
@@ -95,17 +96,19 @@ def _mark_hair(placed: Settled, near: NDArray[np.int64], rows: NDArray[np.int64]
 
 
 def _cells(
-    points_mm: Array, look: NDArray[np.int64], most: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return an order of the points by place, and the cell (of one look) of each point in that order."""
+    points_mm: Array, look: NDArray[np.int64], most: int, spacing_mm: float = FIRST_SPACING_MM
+) -> tuple[NDArray[np.int64], NDArray[np.int64], float]:
+    """Return an order of the points by place, the cell (of one look) of each in that order, and its size.
+
+    The cells are widened until there are few enough.
+    """
     order = np.lexsort((look, *points_mm.T))
     points, looks = points_mm[order], look[order]
-    spacing_mm = FIRST_SPACING_MM
     while True:
         place = np.column_stack([np.floor(points / spacing_mm).astype(int), looks])
         cell = np.unique(place, axis=0, return_inverse=True)[1].reshape(-1)
         if len(cell) == 0 or cell.max() < most:
-            return order, cell
+            return order, cell, spacing_mm
         spacing_mm *= WIDER
 
 

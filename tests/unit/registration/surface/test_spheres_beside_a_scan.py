@@ -86,7 +86,8 @@ def test_an_error_of_the_arm_that_spheres_and_target_share_cancels(heads, scan_o
     alone = register_surface(made.scan, heads[1], made.start, spheres=spheres)
     shared = register_surface(made.scan, heads[1], made.start, spheres=spheres, arm=(off,))
     target = DEEP_MM[0]
-    assert shared.predict(target).rms_mm > 0.6
+    elsewhere = SharedErrors("mount", off.at_spheres_mm, -off.at_target_mm)
+    assert shared.predict(target, (elsewhere,)).rms_mm > 0.6
     assert shared.predict(target, (off,)).rms_mm == pytest.approx(alone.predict(target).rms_mm, rel=0.1)
 
 

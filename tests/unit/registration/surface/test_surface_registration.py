@@ -95,10 +95,10 @@ def test_an_error_that_the_arm_has_at_the_target_too_cancels(heads, scan_of):
     made = scan_of(heads[0], 14, views=FACE)
     looks, step = len(np.unique(made.scan.look)), 2.0 * np.eye(3)
     arm = [SharedErrors("tool", np.tile(step, (looks, 1, 1)), step)]
-    wide = SurfaceLimits(largest_error_mm=20.0)
-    found = register_surface(made.scan, heads[0], made.start, arm=arm, limits=wide)
+    found = register_surface(made.scan, heads[0], made.start, arm=arm)
     alone = register_surface(made.scan, heads[0], made.start)
-    assert found.predict(TARGETS_MM[0]).rms_mm > 3.0
+    elsewhere = [SharedErrors("tool", np.tile(step, (looks, 1, 1)), -step)]
+    assert found.predict(TARGETS_MM[0], elsewhere).rms_mm > 3.0
     together = found.predict(TARGETS_MM[0], arm)
     assert together.rms_mm == pytest.approx(alone.predict(TARGETS_MM[0]).rms_mm, rel=0.1)
 
@@ -118,6 +118,19 @@ def test_the_shares_of_skin_scan_and_arm_add_up_to_the_predicted_square(heads, s
     assert shares["alike"] < 0.01  # it displaces scan and target by the same
     assert shares["only here"] == pytest.approx(0.25)
     assert shares[SKIN] > shares[LINE] > 0.0
+
+
+def test_errors_of_the_arm_are_matched_by_their_names(heads, scan_of):
+    made = scan_of(heads[0], 14, views=FACE)
+    looks = len(np.unique(made.scan.look))
+    sources = [
+        SharedErrors(name, np.tile(step, (looks, 1, 1)), step)
+        for name, step in (("tool", 2.0 * np.eye(3)), ("mount", 0.5 * np.eye(3)))
+    ]
+    found = register_surface(made.scan, heads[0], made.start, arm=sources)
+    before, exchanged = (found.predict(TARGETS_MM[0], one).rms_mm for one in (sources, sources[::-1]))
+    assert exchanged == pytest.approx(before)
+    assert found.predict(TARGETS_MM[0], sources[:1]).rms_mm > before
 
 
 def test_the_misfit_that_the_scan_has_is_found(heads, scan_of):
