@@ -57,7 +57,7 @@ class SurfaceLimits:
     # Shares of the scan that are another body, that are another body or hair, and that are skin that changed.
     # Safety against hands, drapes and hair taken for the head, and skin that moved. Source: parametric heads.
     most_excluded: float = 0.25
-    most_hidden: float = 0.28
+    most_hidden: float = 0.33
     most_changed: float = 0.2
 
 

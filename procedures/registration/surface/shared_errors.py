@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.registration.points import SYMMETRY_TOLERANCE
 from procedures.registration.surface.errors import BAD_SURFACE_INPUT
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.target_prediction import AXES, IndependentErrors, SharedErrors
@@ -66,10 +67,12 @@ class ErrorColumns:
 
 
 def by_look(source: SharedErrors | IndependentErrors) -> Array:
-    """Return the displacements (m, 3, k) of the rows of a source by its errors."""
+    """Return the displacements (m, 3, k) of the rows of a source by its errors. Raises SRF-001."""
     if isinstance(source, SharedErrors):
         return source.at_spheres_mm
     sizes, axes = np.linalg.eigh(source.at_spheres_mm2)
+    if sizes.size and sizes.min() < -SYMMETRY_TOLERANCE * max(float(sizes.max()), 1.0):
+        raise BAD_SURFACE_INPUT(f"the source '{source.source}' has a negative variance")
     roots = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
     looks = len(roots)
     columns = np.zeros((looks, AXES, looks, AXES))

@@ -42,6 +42,9 @@ class LookedSpheres:
         arrays = self.image_mm, self.physical_mm, self.covariance_mm2
         if tuple(map(np.shape, arrays)) != shapes or not all(np.isfinite(one).all() for one in arrays):
             raise BAD_SURFACE_INPUT("the places of spheres, or their errors, do not fit each other")
+        error = np.asarray(self.covariance_mm2)
+        if count and not (np.allclose(error, error.T) and np.linalg.eigvalsh(error)[0] > 0.0):
+            raise BAD_SURFACE_INPUT("the error of the spheres is no covariance", expected="positive definite")
 
     @classmethod
     def none(cls) -> LookedSpheres:

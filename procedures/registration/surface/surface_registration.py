@@ -228,6 +228,8 @@ def register_surface(
     used = ~mark_other_bodies(found) & ~is_hair
     excluded = np.append(~used, np.ones(len(far), dtype=bool))
     require_bare_skin(excluded, limits)
+    if used.sum() < FEWEST_POINTS:
+        require_coverage(0.0, int(used.sum()), limits)
     coverage = require_coverage(share_covered(found.places_mm[used], surface, axes), int(used.sum()), limits)
     side_proven = is_side_proven(found, used, merged.points_mm, merged.view_mm, surface, axes)
     columns = ErrorColumns.of(arm, scan, rows, len(spheres.numbers))

@@ -23,6 +23,7 @@ FEWEST_FOR_SPREAD = 3
 
 # Hair: neighbours lie in depths up to its thickness, skin does not. Source: parametric heads.
 HAIR_REACH_MM, HAIR_NEIGHBOURS = 15.0, 16
+HAIR_APART_MM = 1.0  # of these neighbours: those on one strand say nothing
 HAIR_SPREAD_MM, HAIR_NOISES, HAIR_SPREADS = 0.1, 0.5, 2.0  # limit: least, by the noise, by the usual spread
 ABOVE_QUANTILE, ABOVE_SHARE = 0.84, 1.5  # outwards from the median; relative to that limit
 
@@ -56,10 +57,11 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
     """
     is_near = placed.valid & (np.abs(placed.distances_mm) < NEAR_MM)
     near, far = np.flatnonzero(is_near), np.flatnonzero(~is_near)
-    order, cell, spacing_mm = _cells(scan.points_mm[near], scan.look[near], most)
+    # In the CT, not in the robot's frame: where the cart stands must not decide which points are merged.
+    order, cell, spacing_mm = _cells(placed.places_mm[near], scan.look[near], most)
     ordered = near[order]
     cells = np.arange(cell.max() + 1) if len(cell) else cell
-    rows = ordered[_middles(scan.points_mm[ordered], cell)]
+    rows = ordered[_middles(placed.places_mm[ordered], cell)]
     directions = placed.normals @ placed.pose.rotation  # in the frame of the scan
     noise_mm2 = np.einsum("ni,nij,nj->n", directions, scan.covariance_mm2, directions)
     distances = placed.distances_mm[ordered]
@@ -78,14 +80,16 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
         covariance_mm2=merged.covariance_mm2 * scale[:, None, None],
     )
     is_hair = _mark_hair(placed, near, rows, noise_mm2[rows])
-    apart, beside, _ = _cells(scan.points_mm[far], scan.look[far], len(scan), spacing_mm)
-    return MergedScan(merged, rows, is_hair, far[apart[_middles(scan.points_mm[far[apart]], beside)]])
+    apart, beside, _ = _cells(placed.places_mm[far], scan.look[far], len(scan), spacing_mm)
+    return MergedScan(merged, rows, is_hair, far[apart[_middles(placed.places_mm[far[apart]], beside)]])
 
 
 def _mark_hair(placed: Settled, near: NDArray[np.int64], rows: NDArray[np.int64], noise_mm2: Array) -> Mask:
     """Mark the rows whose neighbours scatter in depth as hair does: both ways, or outwards."""
-    places, distances = placed.places_mm[near], placed.distances_mm[near]
-    count = min(HAIR_NEIGHBOURS, len(near))
+    order, cell, _ = _cells(placed.places_mm[near], np.zeros(len(near), np.int64), len(near), HAIR_APART_MM)
+    apart = near[order[_middles(placed.places_mm[near[order]], cell)]]
+    places, distances = placed.places_mm[apart], placed.distances_mm[apart]
+    count = min(HAIR_NEIGHBOURS, len(apart))
     apart, beside = cKDTree(places).query(placed.places_mm[rows], k=[*range(1, count + 1)])
     depth = np.where(apart < HAIR_REACH_MM, distances[beside], np.nan)
     level = np.nanmedian(depth, axis=1)

@@ -26,9 +26,10 @@ from procedures.registration.surface.errors import (
 )
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.settling import Pose
+from procedures.registration.surface.spheres import LookedSpheres
 from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface_registration import register_surface
-from procedures.registration.target_prediction import SharedErrors
+from procedures.registration.target_prediction import IndependentErrors, SharedErrors
 from ronna_hw.frames import Frame, Transform
 
 VAULT = ((0.0, -0.6, 1.0), (0.0, 0.0, 1.0), (0.5, -0.5, 1.0), (-0.5, -0.5, 1.0))
@@ -173,6 +174,12 @@ def test_numbers_that_mean_nothing_are_refused(heads, scan_of):
         register_surface(made.scan, heads[0], made.start, arm=[no_look])
     with raises(BAD_SURFACE_INPUT):
         Start(made.truth, np.nan, 1.0)
+    looks = len(np.unique(made.scan.look))
+    with raises(BAD_SURFACE_INPUT, match="negative"):
+        negative = IndependentErrors("arm", np.tile(-np.eye(3), (looks, 1, 1)), np.eye(3))
+        register_surface(made.scan, heads[0], made.start, arm=[negative])
+    with raises(BAD_SURFACE_INPUT, match="positive definite"):
+        LookedSpheres(np.array([0]), np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((3, 3)))
 
 
 @pytest.mark.parametrize("code", range(1, 12))

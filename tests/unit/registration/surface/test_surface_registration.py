@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.error_sources import LINE, SKIN
 from procedures.registration.surface.checks import SurfaceLimits
@@ -12,6 +13,7 @@ from procedures.registration.surface.peers import register_by_closest_points
 from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface_registration import register_surface
 from procedures.registration.target_prediction import SharedErrors
+from ronna_hw.frames import Frame, Transform
 
 FACE = ((0.0, -1.0, 0.0),)
 VAULT = ((0.0, -0.6, 1.0), (0.0, 0.0, 1.0), (0.5, -0.5, 1.0), (-0.5, -0.5, 1.0))
@@ -64,6 +66,32 @@ def test_neither_the_order_of_the_points_nor_a_second_run_changes_a_bit(heads, s
     for other in (shuffled, register_surface(made.scan, heads[0], made.start)):
         assert np.array_equal(first.robot_from_ct.as_matrix(), other.robot_from_ct.as_matrix())
         assert first.predict(TARGETS_MM[0]).limit_mm() == other.predict(TARGETS_MM[0]).limit_mm()
+
+
+def test_where_the_cart_stands_changes_next_to_nothing(heads, scan_of):
+    made = scan_of(heads[0], 7, count=300)
+    turned = Transform(
+        Frame.ROBOT,
+        Frame.ROBOT,
+        RigidTransform.from_components([50.0, 20.0, 7.0], Rotation.from_rotvec([0, 0, 0.7])),
+    )
+    start = Start(turned @ made.start.robot_from_ct, made.start.turn_rad, made.start.place_mm)
+    here = register_surface(made.scan, heads[0], made.start)
+    there = register_surface(made.scan.placed(turned), heads[0], start)
+    apart_mm = there.robot_from_ct.apply(TARGETS_MM) - turned.apply(here.robot_from_ct.apply(TARGETS_MM))
+    assert np.linalg.norm(apart_mm, axis=1).max() < 0.2 * here.predict(TARGETS_MM[0]).rms_mm
+
+
+def test_lines_that_were_taken_twice_leave_the_hair_out_as_before(heads, scan_of, random):
+    def hair(places):
+        return np.where(places[:, 2] > 30.0, 2.0 * random.uniform(size=len(places)), 0.0)
+
+    made = scan_of(heads[0], 8, count=600, outwards=hair)
+    once = register_surface(made.scan, heads[0], made.start)
+    again = type(made.scan).join([made.scan] * 5)
+    twice = register_surface(again, heads[0], made.start)
+    assert once.excluded.mean() > 0.05
+    assert twice.excluded.mean() == pytest.approx(once.excluded.mean(), abs=0.05)
 
 
 def test_the_cloud_alone_finds_its_pose(heads, scan_of):
