@@ -225,8 +225,7 @@ def test_a_scan_of_the_skin_is_shown_while_it_grows_and_then_by_what_the_registr
         "14 points",
         "21%",
         "Look 3 shows no line",
-        "Left out: left ear",
-        "unknown at cheeks, eyes",
+        "Has probably moved: left ear, by +1.50 mm",
     ):
         assert words in shown
     pictured = pictures(replace(asked, pictures=("stereo-T1-1.png", "surface-residuals.png")))
