@@ -144,8 +144,8 @@ def tell_learned(learned: LearnedArm | None, target: str) -> str:
         else f": {learned.share:.0%} of their stated size, at most {LARGEST_SHARE:.0%}"
     )
     return (
-        f"{learned.looks} looks also estimate the arm's errors{size}; for them it is sent {sent_mm:.2f} mm beside the "
-        f"target's place, at most {most_mm:.2f} mm"
+        f"{learned.looks} looks also estimate the arm's errors{size}; for them it is sent {sent_mm:.2f} mm "
+        f"beside the target's place, at most {most_mm:.2f} mm"
     )
 
 

@@ -72,7 +72,9 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     )
     looks: tuple[int, ...] = Field(description="Image pairs taken.")
     joints_rad: tuple[JointVector, ...] = Field(description="Joints measured at the last image pair.")
-    coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
+    coarse_offset_mm: Numbers3 | None = Field(
+        default=None, description="Mean of fine minus coarse position; null of a scan without spheres."
+    )
     axes: tuple[str, ...] = Field(
         default=(),
         description="With strategy `learning`: the axis of each look, a key of `localizations` of the path "
