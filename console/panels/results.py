@@ -81,6 +81,8 @@ def skin(surface: SurfaceSection) -> str:
             for number, reason in scan.dark.items()
         ]
     if fit is not None:
+        if fit.carried:
+            parts.append(tag("p", text(surface.carrying)))
         words = f"The skin differs from the CT by {fit.misfit_mm:.2f} mm over {fit.misfit_length_mm:.0f} mm."
         parts.append(tag("p", text(words)))
         parts += [

@@ -20,7 +20,6 @@ FINE_MM = 1.0  # finer voxels are averaged: the scanner's blur is wider
 THIN_MM = 3.0  # radius of an opening: cables and tubes are thinner, ears are not
 REGROWN_MM = 8.0  # what the opening took off a rim of the body
 CHANNEL_MM = 4.0  # radius of a channel that leads to air inside
-LEAST_BODY_CM3 = 0.5  # a smaller one is noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +45,11 @@ class GreyGrid:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Boundary of the largest body: places (n, 3) mm and outward directions (n, 3), and other bodies, cm3."""
+    """Boundary of the largest body: places (n, 3) mm and outward directions (n, 3)."""
 
     places_mm: Array
     outwards: Array
     volume_cm3: float
-    others_cm3: tuple[float, ...]
 
 
 def find_body(grid: GreyGrid, threshold: float) -> Body | None:
@@ -76,13 +74,10 @@ def find_body(grid: GreyGrid, threshold: float) -> Body | None:
     length = np.linalg.norm(outwards, axis=1)
     kept = length > 0.0
     voxel_cm3 = float(np.prod(spacing)) / 1000.0
-    rest, _ = ndimage.label(solid & ~body)
-    others = np.bincount(rest.ravel())[1:] * voxel_cm3
     return Body(
         grid.geometry.to_patient_mm(np.argwhere(rim)[kept] - 1),
         outwards[kept] / length[kept, None],
         float(body.sum()) * voxel_cm3,
-        tuple(sorted((float(one) for one in others if one > LEAST_BODY_CM3), reverse=True)),
     )
 
 

@@ -80,7 +80,6 @@ class CtSurface:
     levels_hu: Array
     is_surface: Mask
     excluded: tuple[ExcludedPart, ...]
-    other_bodies_cm3: tuple[float, ...]
     spline: NDArray[np.float32] = field(repr=False)
     grid: GreyGrid = field(repr=False)
     tree: cKDTree = field(repr=False)
@@ -164,9 +163,7 @@ def find_surface(volume: Volume, tissue: Tissue) -> CtSurface:
         if np.any(reason == one)
     )
     levels = np.where(np.isfinite(levels), levels, tissue.threshold_hu)
-    return CtSurface(
-        tissue, places, directions, levels, is_surface, excluded, body.others_cm3, spline, grid, tree
-    )
+    return CtSurface(tissue, places, directions, levels, is_surface, excluded, spline, grid, tree)
 
 
 def sample(grid: GreyGrid, spline: NDArray[np.float32], places_mm: Array) -> Array:

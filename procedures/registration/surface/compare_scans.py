@@ -37,7 +37,7 @@ NEIGHBOURS = 6
 class ScanComparison:
     """Movement of the head from the first scan to the second, and the skin that moved beyond it.
 
-    `common` is the share of the second scan that the first shows too. `shift_mm` of a region is outwards.
+    `common` is the share of the second scan that the first shows too.
     """
 
     changed: ChangedSkin | None

@@ -16,7 +16,7 @@ LITTLE_COVERAGE = ErrorCode(
     "SRF-002",
     RefusedError,
     "The scan shows too little of the head for a registration.",
-    "Scan more of the head: face, both temples and ears; complete the scan rather than repeat it.",
+    "Turn the head, or tape hair and drapes back, so that face, temples and ears are seen; then scan again.",
 )
 
 
@@ -24,7 +24,8 @@ POORLY_DETERMINED = ErrorCode(
     "SRF-003",
     RefusedError,
     "The scan does not determine a target as well as the case requires.",
-    "Scan the parts that the planner names, or add one to three screws.",
+    "Turn the head so that more of it is scanned, and run the step again; or begin a new run with one to "
+    "three screws (`mixed`), or with spheres.",
 )
 
 
@@ -32,7 +33,8 @@ TWO_POSES = ErrorCode(
     "SRF-004",
     RefusedError,
     "The scan fits the head in more than one pose.",
-    "Scan parts that differ from each other (nose, brows, ears), or give three landmarks as the start.",
+    "Touch nose and ears again, and scan again with nose, brows and ears in view; or begin a new run with "
+    "one to three screws (`mixed`), or with spheres.",
 )
 
 
@@ -64,7 +66,8 @@ SKIN_CHANGED = ErrorCode(
     "SRF-008",
     RefusedError,
     "The skin is not where it was in the CT over a large part of the scan.",
-    "Scan parts that did not change, such as forehead, nose and ears, or add screws.",
+    "Take off what presses on the skin, and scan again; or begin a new run with one to three screws "
+    "(`mixed`), or with spheres.",
 )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from procedures.registration.points import COORDINATE_LIMIT_MM, SYMMETRY_TOLERANCE
 from procedures.registration.surface.errors import BAD_SCAN, EMPTY_SCAN
 from ronna_hw.arrays import Array
-from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
+from ronna_hw.frames import Transform
 
 NAMED_ROWS = 5  # of those that are wrong, in a message
 
@@ -48,40 +48,6 @@ class SurfaceScan:
 
     def __len__(self) -> int:
         return len(self.points_mm)
-
-    @classmethod
-    def from_look(
-        cls,
-        points_mm: ArrayLike,
-        covariance_mm2: ArrayLike,
-        *,
-        robot_from_tool: Transform,
-        view_mm: ArrayLike,
-        look: int,
-        line: int,
-    ) -> Self:
-        """Return the points of one line (n, 3), seen from one pose, in the robot frame.
-
-        `points_mm`, `covariance_mm2` and the place of the projector or camera `view_mm` (3,) are given in the
-        tool frame. Raises SRF-020, and FRM-001 for a pose that maps between other frames.
-        """
-        points = np.asarray(points_mm, dtype=float).reshape(-1, 3)
-        count = len(points)
-        if (robot_from_tool.target, robot_from_tool.source) != (Frame.ROBOT, Frame.TOOL):
-            given = f"{robot_from_tool.target} <- {robot_from_tool.source}"
-            raise FRAME_MISMATCH(
-                "the pose of a look maps between other frames", expected="robot <- tool", got=given
-            )
-        turn = robot_from_tool.rotation_matrix
-        turned = turn @ np.asarray(covariance_mm2, dtype=float).reshape(-1, 3, 3) @ turn.T
-        view = robot_from_tool.apply(np.reshape(view_mm, (1, 3)))
-        return cls(
-            points_mm=robot_from_tool.apply(points) if count else points,
-            covariance_mm2=0.5 * (turned + turned.transpose(0, 2, 1)),
-            look=np.full(count, look),
-            line=np.full(count, line),
-            view_mm=np.broadcast_to(view, (count, 3)),
-        )
 
     @classmethod
     def join(cls, parts: Sequence[SurfaceScan]) -> Self:

@@ -80,11 +80,6 @@ class Settled:
         distances_mm = np.minimum(np.abs(self.distances_mm[used]), PATCH_LIMIT_MM)
         return float(np.mean(distances_mm**2)) if len(distances_mm) else 0.0
 
-    def sigma_of(self, used: Mask) -> float:
-        """Robust standard deviation of the valid distances of some points."""
-        rows = self.valid & used
-        return robust_sigma(self.distances_mm[rows]) if rows.any() else float("inf")
-
     def jacobian(self, centre_mm: Array) -> Array:
         """Differentiate the distances by a movement about a centre, (n, 6)."""
         return np.hstack([np.cross(self.places_mm - centre_mm, self.normals), self.normals])

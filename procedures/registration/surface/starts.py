@@ -16,7 +16,7 @@ from procedures.registration.surface.settling import Pose
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 
-LANDMARK_SD_MM = 3.0  # of a landmark found with a pointer on skin, each axis (U)
+LANDMARK_SD_MM = 4.0  # per axis, of a landmark touched on skin and found in the CT (U)
 SEEN_SD_MM = 0.5  # of a sphere as the tracker sees it from where the CT has it, each axis (U)
 # Of a reading from where landmarks put a sphere. Safety against another reflection taken for a sphere.
 # Source: four times what the landmarks' error comes to at the vertex.
@@ -82,7 +82,7 @@ def pair_spheres(
                 f"the tracker sees nothing where nose and ears put sphere {number} of the CT",
                 limit=f"{NEAR_START_MM:g} mm",
             )
-    sizes_mm = np.repeat([LANDMARK_SD_MM, SEEN_SD_MM], [len(landmarks_ct_mm), count])
+    sizes_mm = np.repeat([start.place_mm, SEEN_SD_MM], [len(landmarks_ct_mm), count])
     covariance = np.eye(3) * sizes_mm[:, None, None] ** 2
     image = np.vstack([landmarks_ct_mm, spheres_ct_mm])
     found: list[tuple[float, tuple[int, ...], Registration]] = []

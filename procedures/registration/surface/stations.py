@@ -29,7 +29,7 @@ USUAL = {
     for size, share in USUAL_SIZES.items()
 }
 NOISE_MM = 0.05  # of a scanned point (U)
-PLANNED_POINTS = 150  # while poses are compared: the order of the poses does not need more
+PLANNED_POINTS = 150  # of an expected error: more hardly change it, nor the order of the looks
 FEWEST_POINTS = 12
 WORTH_MM_PER_S = 0.0005  # 0.005 mm at the targets for a look of ten seconds (U)
 
@@ -40,21 +40,18 @@ def expect_error(
     targets_ct_mm: ArrayLike,
     *,
     misfits: dict[Misfit, float] | None = None,
-    noise_mm: float = NOISE_MM,
-    shared_mm: Array | None = None,
 ) -> list[SurfacePrediction]:
     """Expect the error at targets (m, 3) registered by points (n, 3) with outward normals (n, 3).
 
-    `misfits` are hypotheses with their probabilities, by default usual ones. `shared_mm` (n, k) is the
-    displacement along the normals by errors of the arm. Raises REG-001, SRF-001, SRF-002.
+    `misfits` are hypotheses with their probabilities, by default usual ones. Raises REG-001, SRF-001,
+    SRF-002.
     """
     points, normals = validate_points(points_ct_mm, "surface"), validate_points(normals_ct, "normal")
     targets = validate_targets(targets_ct_mm)
     if len(points) != len(normals):
         raise BAD_SURFACE_INPUT(f"{len(points)} points but {len(normals)} normals")
     rows = thin_points(points)
-    shared = None if shared_mm is None else shared_mm[rows]
-    expected = ExpectedPose.of(points[rows], normals[rows], misfits, noise_mm, shared)
+    expected = ExpectedPose.of(points[rows], normals[rows], misfits)
     return [expected.at(one) for one in targets]
 
 
@@ -79,19 +76,18 @@ def choose_stations(
     candidates: Sequence[Station],
     targets_ct_mm: ArrayLike,
     *,
-    taken: Sequence[Station] = (),
     worth_mm_per_s: float = WORTH_MM_PER_S,
 ) -> StationChoice:
     """Choose looks one by one, each the one that lowers the error at the targets most for its time.
 
-    Ends when no further look lowers it by `worth_mm_per_s`. `taken` looks are there already. Raises REG-001,
-    and SRF-002 if no look shows enough of the surface.
+    Ends when no further look lowers it by `worth_mm_per_s`. Raises REG-001, and
+    SRF-002 if no look shows enough of the surface.
     """
     targets = validate_targets(targets_ct_mm)
     chosen: list[int] = []
     errors: list[float] = []
-    looks = list(taken)
-    now = _rms_of(looks, targets) if looks else float("inf")
+    looks: list[Station] = []
+    now = float("inf")
     while len(chosen) < len(candidates):
         open_now = [one for one in range(len(candidates)) if one not in chosen]
         after = {one: _rms_of([*looks, candidates[one]], targets) for one in open_now}

@@ -11,6 +11,7 @@ from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
 from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, FULL_COLOUR_MM
+from ronna_hw.text import format_count
 
 SURFACE_PICTURES = "surface-"  # names of pictures of the skin begin with it
 LEAST_TOLD = 0.001  # of the boundary
@@ -39,6 +40,17 @@ class SurfaceSection:
     def told(self) -> tuple[ExcludedSkin, ...]:
         """Parts of the boundary that are not used, without those that are hardly there."""
         return tuple(one for one in self.skin.excluded if one.share >= LEAST_TOLD)
+
+    @property
+    def carrying(self) -> str:
+        """How the clamp carried a former registration, as a sentence; '' if it did not."""
+        if self.registration is None or not self.registration.carried:
+            return ""
+        looks = format_count(self.registration.confirming_looks, "look")
+        return (
+            "The clamp carried a former registration to where the head is now, confirmed by "
+            f"{looks}; points, misfit and the share left out are of the former scan."
+        )
 
     @property
     def points(self) -> int:

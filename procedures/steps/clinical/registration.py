@@ -138,10 +138,14 @@ def tell_learned(learned: LearnedArm | None, target: str) -> str:
     if learned is None:
         return ""
     sent_mm, most_mm = math.hypot(*learned.corrections_mm[target]), learned.correction_limits_mm[target]
+    size = (
+        ""
+        if learned.share is None
+        else f": {learned.share:.0%} of their stated size, at most {LARGEST_SHARE:.0%}"
+    )
     return (
-        f"{learned.looks} looks also estimate the arm: errors of {learned.share:.0%} of their stated size, "
-        f"at most {LARGEST_SHARE:.0%}; for them it is sent {sent_mm:.2f} mm beside the target's place, "
-        f"at most {most_mm:.2f} mm"
+        f"{learned.looks} looks also estimate the arm's errors{size}; for them it is sent {sent_mm:.2f} mm "
+        f"beside the target's place, at most {most_mm:.2f} mm"
     )
 
 
@@ -235,7 +239,8 @@ def exclude_beyond_margin(
             f"the predicted error at {trajectory.id} exceeds the plan's margin (margin_mm in plan.toml)",
             limit=f"{trajectory.margin_mm:g} mm",
             got=f"{format_against_limit(predicted.rms_mm, trajectory.margin_mm, 2)} mm",
-            action="Localize the spheres again. A plan with another margin needs a new run.",
+            action="Measure the head again, by its spheres or its skin. A plan with another margin needs a "
+            "new run.",
         )
         others = [name for name in context.remaining if name not in (trajectory.id, *left_out)]
         if not others:

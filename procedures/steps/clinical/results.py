@@ -72,7 +72,9 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     )
     looks: tuple[int, ...] = Field(description="Image pairs taken.")
     joints_rad: tuple[JointVector, ...] = Field(description="Joints measured at the last image pair.")
-    coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
+    coarse_offset_mm: Numbers3 | None = Field(
+        default=None, description="Mean of fine minus coarse position; null of a scan without spheres."
+    )
     axes: tuple[str, ...] = Field(
         default=(),
         description="With strategy `learning`: the axis of each look, a key of `localizations` of the path "
@@ -233,11 +235,18 @@ class FollowedMove(Values):
 
 
 class LearnedArm(Values):
-    """Errors of the arm as its looks at the spheres show them, by strategy `learning`."""
+    """Errors of the arm as its looks show them, by strategy `learning` or by spheres beside the skin."""
 
     looks: int = Field(description="Looks used, all of them for every target.")
-    share: float = Field(description="Size of the arm's errors, as a share of the stated ones.")
-    scatter_mm: float = Field(description="Scatter per axis from pose to pose beyond the arm's model.")
+    share: float | None = Field(
+        default=None,
+        description="Size of the arm's errors, as a share of the stated ones; null if not estimated, as "
+        "beside the skin.",
+    )
+    scatter_mm: float | None = Field(
+        default=None,
+        description="Scatter per axis from pose to pose beyond the arm's model; null if not estimated.",
+    )
     fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
     spheres_robot_mm: tuple[Numbers3, ...] = Field(description="Its true place by all looks, robot frame.")
     corrections_mm: dict[str, Numbers3] = Field(
@@ -275,7 +284,8 @@ class RegisteredRobot(StepResult, kind="registration"):
         default=None, description="The head movement that it follows; everything else is from before that."
     )
     learned: LearnedArm | None = Field(
-        default=None, description="With strategy `learning`: what all looks show of the arm."
+        default=None,
+        description="What all looks show of the arm: with strategy `learning`, or spheres beside the skin.",
     )
     left_out: dict[str, str] = Field(
         default={},
@@ -328,7 +338,7 @@ class RegisteredRobot(StepResult, kind="registration"):
 
 
 class SkinRegion(Values):
-    """Region of the skin that is not where the CT shows it, or may not be."""
+    """Region of the skin that has probably moved since the CT."""
 
     parts: tuple[str, ...] = Field(description="Parts of the head.")
     shift_mm: float = Field(description="By how much, outwards.")
@@ -354,6 +364,10 @@ class RegisteredBySurface(RegisteredRobot, kind="surface_registration"):
         default=False,
         description="Whether a former registration was carried by the frame on the clamp, and corrected by a "
         "few looks: what is said of the scan is of the former one.",
+    )
+
+    confirming_looks: int = Field(
+        default=0, description="If carried: looks at skin that was scanned before, which confirm it."
     )
 
     @property

@@ -85,5 +85,4 @@ def registered_by_surface() -> RegisteredBySurface:
         misfit_length_mm=25.0,
         side_proven=False,
         changed=(SkinRegion(parts=("left ear",), shift_mm=1.5),),
-        doubted=(SkinRegion(parts=("cheeks", "eyes"), shift_mm=0.3),),
     )

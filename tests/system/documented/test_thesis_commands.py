@@ -264,7 +264,7 @@ ELSEWHERE: Mapping[str, str] = {
     "test_learning_study.py::test_learning_is_nearer_with_no_more_looks_than_ocs_whatever_the_size_of_the_errors",
     "ronna-procedure run --sim --scene mini --fiducials surface": "tests/system/case/"
     "test_case_without_markers.py::"
-    "test_a_case_without_markers_reaches_its_target_within_its_predicted_error",
+    "test_a_case_on_the_skin_reaches_its_target_within_its_predicted_error",
     "ronna-campaign surface --heads 6 --seed 78": "tests/unit/studies/test_surface_study.py::"
     "test_a_registration_is_judged_at_its_targets_and_the_same_unit_gives_the_same",
     "python -m benchmarks.surface.same_clouds --python PEERS/bin/python --heads 1": "tests/unit/registration/"

@@ -225,13 +225,22 @@ def test_a_scan_of_the_skin_is_shown_while_it_grows_and_then_by_what_the_registr
         "14 points",
         "21%",
         "Look 3 shows no line",
-        "Left out: left ear",
-        "unknown at cheeks, eyes",
+        "Has probably moved: left ear, by +1.50 mm",
     ):
         assert words in shown
     pictured = pictures(replace(asked, pictures=("stereo-T1-1.png", "surface-residuals.png")))
     assert "sphere 1" in pictured
     assert "distance to the skin in the CT" in pictured
+
+
+def test_a_registration_that_the_clamp_has_carried_says_of_which_scan_its_figures_are() -> None:
+    carried = registered_by_surface().model_copy(update={"carried": True, "confirming_looks": 4})
+    surface = SurfaceSection(skin_in_ct(), None, scanned_surface(), carried)
+    shown = accuracy(CaseView(), CaseFigures(surface=surface))
+    assert "carried a former registration" in shown
+    assert "confirmed by 4 looks" in shown
+    plain = replace(surface, registration=registered_by_surface())
+    assert "former" not in accuracy(CaseView(), CaseFigures(surface=plain))
 
 
 def test_residuals_are_shown_whole_in_the_question_about_a_registration() -> None:

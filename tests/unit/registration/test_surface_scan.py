@@ -9,9 +9,6 @@ import pytest
 
 from procedures.registration.surface.scan import SurfaceScan
 from ronna_hw.errors import DataError
-from ronna_hw.frames import Frame, Transform
-
-QUARTER_TURN = (np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # about z
 
 
 def rows(count: int = 4, **changed: Any) -> dict[str, Any]:
@@ -24,26 +21,6 @@ def rows(count: int = 4, **changed: Any) -> dict[str, Any]:
         "view_mm": points + np.array([0.0, 0.0, 200.0]),
     }
     return given | changed
-
-
-def test_a_look_is_turned_into_the_robot_frame_with_its_covariance() -> None:
-    pose = Transform.of(
-        Frame.ROBOT, Frame.TOOL, translation_mm=(500.0, 0.0, 100.0), quaternion_wxyz=QUARTER_TURN
-    )
-
-    scan = SurfaceScan.from_look(
-        [[10.0, 0.0, 0.0]],
-        [np.diag([1.0, 2.0, 3.0])],
-        robot_from_tool=pose,
-        view_mm=(0.0, 0.0, -200.0),
-        look=3,
-        line=7,
-    )
-
-    np.testing.assert_allclose(scan.points_mm, [[500.0, 10.0, 100.0]])
-    np.testing.assert_allclose(scan.covariance_mm2[0], np.diag([2.0, 1.0, 3.0]), atol=1e-12)
-    np.testing.assert_allclose(scan.view_mm, [[500.0, 0.0, -100.0]])
-    assert (scan.look[0], scan.line[0]) == (3, 7)
 
 
 def test_looks_are_joined_in_their_order_and_rows_selected() -> None:
@@ -72,14 +49,6 @@ def test_looks_are_joined_in_their_order_and_rows_selected() -> None:
 def test_a_scan_with_meaningless_numbers_is_refused(changed: dict[str, Any]) -> None:
     with pytest.raises(DataError, match="SRF-020"):
         SurfaceScan(**rows(**changed))
-
-
-def test_a_look_in_another_frame_is_refused() -> None:
-    pose = Transform.of(Frame.TOOL, Frame.ROBOT)
-    with pytest.raises(DataError, match="FRM-001"):
-        SurfaceScan.from_look(
-            np.zeros((1, 3)), [np.eye(3)], robot_from_tool=pose, view_mm=np.zeros(3), look=0, line=0
-        )
 
 
 def test_no_points_at_all_are_refused() -> None:

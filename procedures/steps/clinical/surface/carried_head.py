@@ -152,10 +152,16 @@ def register_carried(context: StepContext) -> Outcome[RegisteredBySurface]:
                 predicted=against,
             )
         )
-    fields = {"robot_from_ct": FramedPose.of(pose), "predictions": predictions, "left_out": left_out}
+    fields = {
+        "robot_from_ct": FramedPose.of(pose),
+        "predictions": predictions,
+        "left_out": left_out,
+        "carried": True,
+        "confirming_looks": len(scanned.looks_taken),
+    }
     worst = max(predictions, key=lambda one: one.rms_mm)
     return Outcome(
-        carried.former.model_copy(update={**fields, "carried": True}),
+        carried.former.model_copy(update=fields),
         summary=f"carried by the clamp, predicted target error {worst.rms_mm:.2f} mm rms",
     )
 

@@ -209,8 +209,6 @@ def _learn_arm(
     places_mm = looked.physical_mm + found.arm_at_spheres_mm
     return LearnedArm(
         looks=len(scanned.looks_taken) + len(looked.looks),
-        share=1.0,
-        scatter_mm=0.0,
         fiducials=tuple(numbers.tolist()),
         spheres_robot_mm=tuple(map(vector3, places_mm[rows])),
         corrections_mm=corrections_mm,

@@ -111,7 +111,6 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     context.keep_picture(COVERAGE_PICTURE, picture)
     return Outcome(
         ScannedSurface.without_spheres(
-            coarse_offset_mm=vector3(np.mean([_offset_mm(line, planned) for line in lines], axis=0)),
             lines=lines,
             planned_looks=len(planned),
             dark=dark,
@@ -170,12 +169,6 @@ def _points_in_ct(context: StepContext, lines: Sequence[ScannedLine]) -> Array:
     """Return the points (n, 3) of lines in the CT, by the start of the registration."""
     ct_from_robot = context.result(SurfaceStart).robot_from_ct.transform.inverse()
     return np.asarray(ct_from_robot.apply(np.concatenate([line.points_mm for line in lines])))
-
-
-def _offset_mm(line: ScannedLine, planned: Sequence[LocalizationPose]) -> Array:
-    """Return how far a line lies from where its look was planned, (3,) mm."""
-    expected_mm = planned[line.look].tool_pose.transform.translation_mm
-    return np.asarray(np.median(line.points_mm, axis=0) - expected_mm)
 
 
 def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str]) -> None:

@@ -21,7 +21,7 @@ from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import LANDMARKS
 from procedures.registration.surface.errors import MIRRORED_HEAD
 from procedures.registration.surface.regions import HeadAxes
-from procedures.registration.surface.starts import Start, pair_spheres
+from procedures.registration.surface.starts import LANDMARK_SD_MM, Start, pair_spheres
 from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical.coarse_match import room_prior
 from procedures.steps.clinical.correspondence import READ_AGAIN, SurfaceStart, TouchedPoint, touch_head
@@ -37,7 +37,6 @@ from ronna_hw.text import format_against_limit, format_count
 from ronna_hw.vectors import vector3
 
 TOUCHED = ("tip of the nose", "left ear", "right ear")
-LANDMARK_SD_MM = 4.0  # per axis, of a landmark touched on skin and found in the CT (U)
 # Of an entry from the middle of the head: its mirror image is then 30 mm away.
 # Safety against a mirrored CT. Source: three times what a touched mark errs (U).
 LEAST_ASIDE_MM = 15.0
@@ -62,7 +61,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     in_ct_mm = np.array([find_landmark(volume, skin_mm, LANDMARKS[one]) for one in TOUCHED])
     orders = {one: f"touch the {one} with the pointer, where it reaches furthest," for one in TOUCHED}
     touched_mm = np.array([touch_head(context, orders[one], LANDMARKS[one]) for one in TOUCHED])
-    start = Start.from_landmarks(in_ct_mm, touched_mm, LANDMARK_SD_MM)
+    start = Start.from_landmarks(in_ct_mm, touched_mm)
     localized = context.result(SkinInCt)
     paired = pair_spheres(start, in_ct_mm, touched_mm, localized.centres_mm, room.points_mm)
     start = replace(start, robot_from_ct=paired.robot_from_ct)

@@ -61,11 +61,6 @@ def test_a_look_that_takes_long_is_not_worth_it(heads):
     assert len(choose_stations([front, left], TARGETS_MM).stations) == 1
 
 
-def test_looks_that_were_taken_count(heads):
-    front, left, right = (Station(*seen(heads[0], name), seconds=5.0) for name in ("front", "left", "right"))
-    assert choose_stations([front, right], TARGETS_MM, taken=[front, left]).stations[:1] == (1,)
-
-
 def test_what_shows_nothing_is_refused(heads):
     nothing = Station(np.zeros((0, 3)), np.zeros((0, 3)), 5.0)
     with raises(LITTLE_COVERAGE):

@@ -22,7 +22,7 @@ from procedures.operator.question import Question, Topic
 from procedures.registration.arm_learning import LearnedTarget
 from procedures.registration.target_prediction import TargetPrediction
 from procedures.steps.clinical import registration
-from procedures.steps.clinical.registration import STEP
+from procedures.steps.clinical.registration import STEP, tell_learned
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.strategies.catalogue import find_strategy
 from procedures.workcell import MountedTool
@@ -57,6 +57,14 @@ def test_the_operator_sees_what_was_learned_beside_its_limits(cell: ClinicalCell
     assert done.learned is not None
     assert f"{done.learned.share:.0%} of their stated size, at most 290%" in accepted.value
     assert f"at most {done.learned.correction_limits_mm[FIRST]:.2f} mm" in accepted.value
+
+
+def test_sizes_of_the_arm_that_were_not_estimated_are_not_told(cell: ClinicalCell) -> None:
+    known = learned(cell).learned
+    assert known is not None
+    told = tell_learned(known.model_copy(update={"share": None, "scatter_mm": None}), FIRST)
+    assert "%" not in told
+    assert f"at most {known.correction_limits_mm[FIRST]:.2f} mm" in told
 
 
 def with_moved(sphere: int) -> Array:
