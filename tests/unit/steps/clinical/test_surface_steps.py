@@ -210,11 +210,12 @@ def test_a_landmark_is_the_end_of_a_thin_ear_and_not_of_a_rest_beside_it() -> No
 
 
 IN_CT_MM = np.array([[0.0, -105.0, -20.0], [78.0, 5.0, -15.0], [-78.0, 5.0, -15.0]])
-TOUCHED_MM = IN_CT_MM + (900.0, 0.0, 200.0)
+TOUCHED_MM = IN_CT_MM + np.array([900.0, 0.0, 200.0])
+NOSE_BESIDE_MM = np.array([[28.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
 def place(touched_mm: Array) -> Array:
-    """Place a head that lies with its vertex up, as if it were sat up."""
+    """Fit a head whose vertex must be up; return how far the landmarks are from their fit."""
     prior = SimpleNamespace(
         sight=SimpleNamespace(centre_mm=np.zeros(3)),
         check_position=lambda rotation, _middle_mm: (
@@ -233,7 +234,7 @@ def test_landmarks_touched_as_well_as_skin_permits_place_the_head() -> None:
 @pytest.mark.parametrize(
     ("touched_mm", "code", "said"),
     [
-        (TOUCHED_MM + [[28.0, 0.0, 0.0], [0.0] * 3, [0.0] * 3], "PRO-007", "the tip of the nose fits worst"),
+        (TOUCHED_MM + NOSE_BESIDE_MM, "PRO-007", "the tip of the nose fits worst"),
         (0.1 * TOUCHED_MM, "PRO-007", r"\(in cm\?\)"),
         (TOUCHED_MM[[0, 2, 1]], "REG-013", "the ears may have been exchanged"),
         (TOUCHED_MM[[1, 0, 2]], "PRO-007", r"from their fit: tip of the nose \d+ mm, left ear"),
