@@ -48,7 +48,7 @@ from procedures.reporting.outcome import ErrorParts, TargetTruth, Truth
 from procedures.reporting.pictures import PUBLISHED_MM
 from procedures.reporting.report import write_report
 from procedures.reporting.run_events import begun_insertions, last_held_name
-from procedures.reporting.run_reading import find_used_strategies, read_for_report
+from procedures.reporting.run_reading import describe_strategies, find_used_strategies, read_for_report
 from procedures.reporting.run_statistics import timeline
 from procedures.reporting.tables import plan_rows
 from procedures.runs.finishing import seal_run
@@ -487,6 +487,10 @@ def test_a_target_keeps_the_strategy_it_was_last_planned_with(
     assert find_used_strategies((made, again)) == {FIRST: "nos", LAST: "ocs"}
     left_out = replace(made, result=later.model_copy(update={"targets": {}, "left_out": {LAST: "no path"}}))
     assert find_used_strategies((made, left_out)) == {FIRST: "nos"}
+
+
+def test_the_strategy_of_a_case_on_the_skin_is_that_of_the_scan_alone() -> None:
+    assert describe_strategies("ocs", {FIRST: "surface", LAST: "surface"}) == "surface"
 
 
 def test_the_head_of_the_page_marks_methods_that_are_not_for_clinical_use(tmp_path: Path) -> None:
