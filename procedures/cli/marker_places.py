@@ -131,14 +131,19 @@ def choose_fiducials(
     The expected error is that of the registration; the margin is compared with arm, guide and instrument
     added as usual. How far the skin moves before the scan is not known: what is usual stands for it.
     """
+    import numpy as np
+
     from procedures.imaging.ct_surface import find_skin
-    from procedures.planning.fiducial_choice import compare_fiducials, name_fewest
+    from procedures.planning.fiducial_choice import ASSUMED, compare_fiducials, name_fewest
     from procedures.planning.plan_file import read_plan
+    from procedures.registration.surface.regions import HeadAxes
 
     plan = read_plan(plan_file)
     head, volume = _read_head(series_dir, None, plan, plan_file)
     assert volume is not None, "it is read from a series"
-    compared = compare_fiducials(find_skin(volume), head, plan, volume=volume, seed=seed)
+    skin = find_skin(volume)
+    axes = HeadAxes.of(skin)
+    compared = compare_fiducials(skin, head, plan, volume=volume, seed=seed)
     if as_json:
         terminal.print_json(
             {"fewest": name_fewest(compared), "compared": [one.as_payload() for one in compared]}
@@ -147,8 +152,13 @@ def choose_fiducials(
     print_expected(compared)
     for one in compared:
         if one.with_skin and one.centres_mm:
-            sites = "; ".join(", ".join(f"{value:.0f}" for value in centre) for centre in one.centres_mm)
+            parts = axes.name_parts(np.array(one.centres_mm))
+            sites = "; ".join(
+                f"{part} ({', '.join(f'{value:.0f}' for value in centre)})"
+                for part, centre in zip(parts, one.centres_mm, strict=True)
+            )
             terminal.say(f"{one.words} at LPS mm: {sites}")
+    terminal.say(ASSUMED)
     terminal.say(name_fewest(compared))
 
 
@@ -164,13 +174,14 @@ def print_expected(compared: Sequence[Fiducials]) -> None:
             f"{at.limit_mm:.2f}",
             f"{at.total_mm:.2f}",
             f"{at.total_limit_mm:.2f}",
-            f"{at.margin_mm:g}: {judge_error(at.margin_mm, at.total_mm, at.total_limit_mm)}",
+            f"{at.margin_mm:g}",
+            str(judge_error(at.margin_mm, at.total_mm, at.total_limit_mm)),
         ]
         for one in compared
         for at in one.expected
     ]
     headings = ["registered by", "target", "rms mm", "95 % mm", "with arm and guide, rms mm", "95 % mm"]
-    terminal.print_table("expected error of the registration", [*headings, "margin mm"], rows)
+    terminal.print_table("expected error of the registration", [*headings, "margin mm", "verdict"], rows)
 
 
 def _require_one_head(series_dir: Path | None, scene: Path | None) -> None:

@@ -71,6 +71,8 @@ def export_run(
     objects, missing = run_objects(results, fits, () if study is None else study.slice_uids)
     absent = results.absent() | missing
     scan = find_placed_scan(results)
+    if scan is None and with_scan:
+        absent[SCAN] = _explain_no_scan(results)
     withheld = {} if scan is None or with_scan else {SCAN: f"{FACE}; {WITH_SCAN} adds it"}
     contents = {name: text.encode() for name, text in texts.items()}
     if scan is not None and with_scan:
@@ -114,6 +116,11 @@ def find_placed_scan(results: CaseResults) -> SurfaceScan | None:
             (stored,) = results_of(ScannedSurface, [scanned])
             return stored.result.scan.placed(used.result.robot_from_ct.transform.inverse())
     return None
+
+
+def _explain_no_scan(results: CaseResults) -> str:
+    scanned = any(record.kind == ScannedSurface.kind for record in results.run.records)
+    return "there is no registration that carries it into the CT" if scanned else "none was made"
 
 
 def _case_texts(results: CaseResults) -> dict[str, str]:

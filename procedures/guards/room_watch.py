@@ -64,7 +64,7 @@ class RoomLook:
 
     `head_mm` is the rms over its points, `base_mm` that of the frame's origin; None where not seen. `moved`
     is the error that names what has moved, or what hides it; `findings` stop nothing. `by_frame` says that
-    the frame on the clamp stands for the head, as the spheres are hidden.
+    the frame on the clamp stands for the head, and `spheres_hidden` that it does so for spheres out of view.
     """
 
     judged: JudgedReading
@@ -73,6 +73,7 @@ class RoomLook:
     findings: tuple[str, ...] = ()
     moved: Refusal | None = None
     by_frame: bool = False
+    spheres_hidden: bool = False
 
     @property
     def reading(self) -> RoomReading:
@@ -265,7 +266,8 @@ class RoomWatch:
         head = room_motion.HeadSeen.of(expected)
         base_mm = None if expected.arm_way_mm is None else float(np.linalg.norm(expected.arm_way_mm))
         # Of a head with few spheres, or none, the frame on its clamp is what shows it.
-        by_frame = head is not None and head.by_frame and len(self.spheres_mm) >= LEAST_POINTS
+        by_frame = head is not None and head.by_frame
+        hidden = by_frame and len(self.spheres_mm) >= LEAST_POINTS
         moved: Refusal | None = None
         if motion is not None:
             at_head = self.head_sight.under_way or reading.on_axis
@@ -273,14 +275,13 @@ class RoomWatch:
         if moved is None:
             moved = room_motion.find_unseen(expected, reading)
         if moved is None and len(rows.residual):
-            findings += self._tell_by_frame(hidden=by_frame)
+            findings += self._tell_by_frame(hidden=hidden)
             self._count(judged.look, rows)
             self.keep(judged.look)
             if head is not None:
                 self.head_sight.seen_s = now_s
-        return RoomLook(
-            judged, None if head is None else head.shift.rms_mm, base_mm, findings, moved, by_frame
-        )
+        rms_mm = None if head is None else head.shift.rms_mm
+        return RoomLook(judged, rms_mm, base_mm, findings, moved, by_frame, hidden)
 
     def judge(self, reading: RoomReading) -> JudgedReading:
         """Hold a reading against all looks before; it is not counted.

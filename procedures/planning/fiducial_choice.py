@@ -34,6 +34,10 @@ ALONE_3D_MM = SPHERE_SD_MM * 3.0**0.5  # the same of a sphere without the skin, 
 SPHERES_ALONE = 5  # the usual number of them, for comparison
 # Rms of what the arm at looks and target, guide and instrument add. Source: shares in a simulated case (U).
 OTHERS_MM = 0.3
+ASSUMED = (
+    "a guess before the scan: the skin is assumed to move as it usually does, and arm, guide and instrument "
+    f"to add {OTHERS_MM:g} mm rms"
+)
 LIMIT_OF_RMS = 1.61  # 95 % limit of an error alike in all directions, by its rms
 
 

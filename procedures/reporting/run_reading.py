@@ -20,6 +20,7 @@ from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import Prediction, RegisteredRobot
+from procedures.strategies.names import SCAN_OF_SKIN
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import Inspection, inspect_run
@@ -213,7 +214,12 @@ def find_used_strategies(checks: Sequence[Stored[CheckedPaths]]) -> dict[str, st
 
 
 def describe_strategies(strategy: str, used: Mapping[str, str | None]) -> str:
-    """Describe the strategy of a run with the targets that used another, such as `ocs (T1 by nos)`."""
+    """Describe the strategy of a run with the targets that used another, such as `ocs (T1 by nos)`.
+
+    Of a case on the skin, that of the scan: no other was used, whichever the run was begun with.
+    """
+    if used and set(used.values()) == {SCAN_OF_SKIN}:
+        return SCAN_OF_SKIN
     by_other: dict[str, list[str]] = {}
     for target, other in used.items():
         if other not in (None, strategy):

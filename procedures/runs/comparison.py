@@ -1,7 +1,7 @@
 """Comparison of a resumed run's devices, calibrations, tool, inputs and room with its records.
 
 It connects and reads; nothing here can move the arm. The tracker measures the room again at rest: the visible
-spheres on the head, and the base of each arm by the frame on it.
+spheres on the head, or the frame on its clamp, and the base of each arm by the frame on it.
 """
 
 from __future__ import annotations
@@ -390,7 +390,8 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         comparison.add_difference("robot base", "the frame on the arm in view", "the tracker does not see it")
         return True
     comparison.notes.append(
-        f"patient: the frame on the clamp within {look.head_mm:.2f} mm of its recorded position"
+        f"patient: the frame on the clamp within {look.head_mm:.2f} mm of its recorded position; "
+        "the head in the clamp was not compared"
         if look.by_frame
         else f"patient: spheres within {look.head_mm:.2f} mm of their recorded positions"
     )

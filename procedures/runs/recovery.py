@@ -222,7 +222,8 @@ def _require_acceptance(engine: Engine, comparison: Comparison, subject: str, or
             expected=None if late_s is None else "that the findings are accepted",
             got=found or None,
             limit=None if late_s is None else f"{late_s:g} s",
-            action="Nothing was moved. Repeat the command when the case may continue.",
+            action="Nothing was moved. Repeat the command when the case may continue. A script accepts with "
+            "--accept, in a simulated theatre alone.",
         )
     engine.accept()
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 DEFAULT_STRATEGY = "ocs"
+SCAN_OF_SKIN = "surface"  # not chosen by name: the plan decides
 STRATEGY_NAMES: Mapping[str, str] = MappingProxyType(
     {
         "ocs": "as at the target (recommended)",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from procedures.strategies.names import SCAN_OF_SKIN
 from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Strategy
 from procedures.strategies.trajectory import UP, Trajectory
 from ronna_hw.frames import Transform
@@ -27,7 +28,7 @@ def skin_axis(looks: Sequence[Transform], robot_from_ct: Transform) -> Trajector
 class SkinLooks(Strategy):
     """Strategy `surface`: there are no spheres, and the looks at the skin serve all targets."""
 
-    name: str = "surface"
+    name: str = SCAN_OF_SKIN
     controls_approach: bool = False
     localizes_per_trajectory: bool = False
 

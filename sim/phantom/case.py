@@ -29,6 +29,8 @@ from sim.phantom.mr_scan import MrScan, ct_from_mr
 from sim.phantom.postoperative_scan import ImagedInstrument, PostoperativeScan
 from sim.phantom.scan import Planes, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import (
+    DESCRIBED,
+    DESCRIBED_BARE,
     LARGEST_STORED,
     PATIENT_POSITION,
     DicomSeries,
@@ -82,7 +84,8 @@ def write_case(
     """
     scan = scan or plain_scan(scene)
     grid = scan.grid
-    series = DicomSeries(scene, grid, folder / SERIES_FOLDER, scan.faults)
+    described = DESCRIBED_BARE if scan.fiducials == SKIN_ONLY else DESCRIBED
+    series = DicomSeries(scene, grid, folder / SERIES_FOLDER, scan.faults, described=described)
     planes = Planes(scan)
     paint = mirrored(planes.paint) if scene.ct.mirrored else planes.paint
     steps = planes.steps + grid.slices

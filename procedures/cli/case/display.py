@@ -226,6 +226,7 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
 
 def _show_table(outcome: FinishedRun) -> None:
     from procedures.reporting.run_reading import describe_strategies
+    from procedures.strategies.names import SCAN_OF_SKIN
 
     mean_mm, largest_mm = outcome.mean_application_error_mm, outcome.max_application_error_mm
     known = mean_mm is not None
@@ -237,7 +238,9 @@ def _show_table(outcome: FinishedRun) -> None:
     title = "error of the needle tip against truth" if known else "predicted error of the needle tip"
     print_table(f"Run {outcome.run}: {title}", ("target", "depth mm", "predicted mm", "error mm"), rows)
     strategies = describe_strategies(outcome.strategy, {one.id: one.strategy for one in outcome.targets})
-    if strategies != outcome.strategy:
+    if strategies == SCAN_OF_SKIN:
+        say("registered on the skin")
+    elif strategies != outcome.strategy:
         say(f"strategy {strategies}")
     for name, reason in outcome.left_out.items():
         say(f"without {name}: {reason}")

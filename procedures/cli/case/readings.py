@@ -101,9 +101,13 @@ def _split(typed: str) -> list[str]:
 def _hint(most: int, plausible_mm: Range) -> str:
     """Return the expected format of the readings, with a plausible example."""
     low, high = plausible_mm or (0.0, SMALL_MM)
-    example = SMALL_MM if low <= SMALL_MM <= high else round(0.5 * (low + high))
-    count = "one number" if most == 1 else f"up to {most} numbers"
-    return f"{count} in mm, such as {example:g} or {example:g} mm, or {NOBODY!r} to end the step."
+    one = f"{SMALL_MM if low <= SMALL_MM <= high else round(0.5 * (low + high)):g}"
+    if most == 1:
+        return f"one number in mm, such as {one} or {one} mm, or {NOBODY!r} to end the step."
+    example = " ".join([one] * most)
+    return (
+        f"up to {most} numbers in mm, with spaces between: such as {example}, or {NOBODY!r} to end the step."
+    )
 
 
 def join_reads(reads: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
-from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, FULL_COLOUR_MM
+from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, FULL_COLOUR_MM, tell_coverage
 from ronna_hw.text import format_count
 
 SURFACE_PICTURES = "surface-"  # names of pictures of the skin begin with it
@@ -56,6 +56,12 @@ class SurfaceSection:
     def points(self) -> int:
         """Points of the scan."""
         return 0 if self.scan is None else sum(len(line.points_mm) for line in self.scan.lines)
+
+    @property
+    def told_coverage(self) -> str:
+        """How much of the head the points of the registration cover; before it, those of the scan."""
+        share = self.registration.coverage if self.registration else self.scan.covered if self.scan else 0.0
+        return tell_coverage(share)
 
 
 def read_surface(reading: RunReading) -> SurfaceSection | None:

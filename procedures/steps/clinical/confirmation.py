@@ -42,7 +42,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     watch = room_watch(context)
     look = _check_room(context, watch, targets_remain)
     seen = (*_compare_at_target(watch, context.trajectory, look), guide)
-    unchanged = look.in_place and not look.by_frame and guide.unchanged
+    unchanged = look.in_place and not look.spheres_hidden and guide.unchanged
     in_doubt = () if unchanged else list_unconfirmed_targets(context)
     return Outcome(
         ConfirmedTarget(seen=seen, in_doubt=in_doubt, link=link, assistant_link=other),
@@ -86,7 +86,7 @@ def _check_room(context: StepContext, watch: RoomWatch, targets_remain: bool) ->
         unseen = {"head": look.head_mm is None, "frame on the arm": look.base_mm is None}
         for subject in (name for name, hidden in unseen.items() if hidden):
             doubt(context, f"{occasion} the tracker does not see the {subject}: it may have moved meanwhile")
-        if look.by_frame:
+        if look.spheres_hidden:
             doubt(
                 context,
                 f"{occasion} the spheres are hidden: the frame on the clamp is in its place, but the head "
@@ -103,7 +103,7 @@ def _compare_at_target(
     What the frame shows of the clamp is no sight of the head in it. If something has moved: how far.
     """
     changes = watch.changes_at(trajectory)
-    seen_mm = {"head": None if look.by_frame else look.head_mm, "base": look.base_mm}
+    seen_mm = {"head": None if look.spheres_hidden else look.head_mm, "base": look.base_mm}
     found = []
     for body, subject in (("head", Subject.HEAD), ("base", Subject.BASE)):
         (way_mm, noticed_mm), moved_mm = changes[body], seen_mm[body]

@@ -27,6 +27,7 @@ from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere, LocalizedFiducials
 from procedures.steps.conditions import needs_guide_unmounted
+from ronna_hw.text import format_count
 
 DATE_DIGITS = 8  # of a DICOM date, YYYYMMDD
 LONGEST_SHOWN = 64  # characters, as DICOM allows for a description
@@ -167,12 +168,19 @@ def _describe_plan(check: PlanCheck, head: HeadEllipsoid) -> str:
                 f"entry at the {head.half_of(one.entry_mm)}"
                 for one in plan.trajectories
             ),
+            *([_describe_registering(plan)] if plan.fiducials.has_skin else []),
             f"tool {plan.tool}; instrument {plan.instrument_length_mm:g} mm, "
             f"stand-off {plan.standoff_mm:g} mm",
             f"CT series {short_series_number(plan.series_instance_uid)}, {plan.patient_orientation.value}",
             f"plan {short_plan_number(plan)}, {describe_seal(plan)}",
         )
     )
+
+
+def _describe_registering(plan: Plan) -> str:
+    if not plan.implanted:
+        return "registered on the skin: there are no markers"
+    return f"registered on the skin and by {format_count(plan.implanted, 'sphere')}"
 
 
 def _accept_count(

@@ -35,6 +35,7 @@ PREAMBLE_BYTES = 128  # DICOM part 10: free bytes before the letters DICM
 COMPRESSED_BYTES = (
     20_000_000  # of a series from which JPEG-LS is used: for less, a decoder is not worth its start
 )
+DESCRIBED, DESCRIBED_BARE = "Head phantom with fiducial spheres", "Head phantom without markers"
 FILE_PATTERN = "slice-*.dcm"
 
 
@@ -49,7 +50,7 @@ class DicomSeries:
         faults: ScannerFaults = NO_FAULTS,
         *,
         occasion: str = "",
-        described: str = "Head phantom with fiducial spheres",
+        described: str = DESCRIBED,
         date: str = SCAN_DATE,
         intercept_HU: int = INTERCEPT_HU,
         kernel_name: str = "",

@@ -8,6 +8,8 @@ from prepared_results import NO_TABLE, SERIES
 
 from procedures.journal.results import FramedPose
 from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.registration.correspondence import MatchStatus
+from procedures.steps.clinical.correspondence import SurfaceStart, TouchedPoint
 from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.clinical.results import (
     ErrorShare,
@@ -34,6 +36,28 @@ def skin_in_ct() -> SkinInCt:
         excluded=(ExcludedSkin(reason="edge of the scan", share=0.02, middle_mm=(0.0, 0.0, -120.0)),),
         cranium=HEAD,
         face=HEAD,
+    )
+
+
+def surface_start() -> SurfaceStart:
+    in_ct_mm = {"tip of the nose": (0.0, -95.0, 0.0), "left ear": (80.0, 0.0, 0.0)}
+    touched = [
+        TouchedPoint(
+            landmark=name, in_ct_mm=place, touched_mm=vector3(ROBOT_FROM_CT.apply(place)), off_mm=1.5
+        )
+        for name, place in (in_ct_mm | {"T1": (30.0, -40.0, 70.0)}).items()
+    ]
+    return SurfaceStart(
+        status=MatchStatus.UNIQUE,
+        pairs=(),
+        robot_from_ct=FramedPose.of(ROBOT_FROM_CT),
+        residuals_mm=(),
+        margin_nats=None,
+        two_way=NO_TABLE,
+        landmarks=tuple(touched[:2]),
+        turn_sd_rad=0.02,
+        place_sd_mm=4.0,
+        site=touched[2],
     )
 
 

@@ -364,6 +364,18 @@ def test_after_a_scan_of_the_clamped_head_its_spheres_are_exported_beside_those_
     assert used.ReferencedSOPInstanceUID == dcmread(out / "spheres.dcm").SOPInstanceUID
 
 
+def test_a_scan_without_a_registration_is_absent_with_the_reason(tmp_path: Path) -> None:
+    run = recorded_run(
+        tmp_path / "run",
+        (StepKey("ct_import"), IMPORTED),
+        (StepKey("skin_in_ct"), skin_in_ct()),
+        (StepKey("surface_scan"), scanned_surface()),
+        linked=True,
+    )
+    absent = export_run(run, tmp_path / "out", with_scan=True).absent
+    assert absent["scan of the skin"] == "there is no registration that carries it into the CT"
+
+
 def test_a_scan_of_the_skin_is_withheld_unless_asked_for(tmp_path: Path) -> None:
     run = recorded_run(
         tmp_path / "run",

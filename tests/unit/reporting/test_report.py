@@ -29,7 +29,7 @@ from prepared_results import (
 from report_figures import figures_in, figures_of_records
 from report_text import report_text
 from scipy.spatial.transform import RigidTransform
-from skin_case import registered_by_surface, scanned_surface, skin_in_ct
+from skin_case import registered_by_surface, scanned_surface, skin_in_ct, surface_start
 from whole_run import IMPORTED
 
 from procedures.cli.runs.showing import show_run
@@ -48,7 +48,7 @@ from procedures.reporting.outcome import ErrorParts, TargetTruth, Truth
 from procedures.reporting.pictures import PUBLISHED_MM
 from procedures.reporting.report import write_report
 from procedures.reporting.run_events import begun_insertions, last_held_name
-from procedures.reporting.run_reading import find_used_strategies, read_for_report
+from procedures.reporting.run_reading import describe_strategies, find_used_strategies, read_for_report
 from procedures.reporting.run_statistics import timeline
 from procedures.reporting.tables import plan_rows
 from procedures.runs.finishing import seal_run
@@ -489,6 +489,10 @@ def test_a_target_keeps_the_strategy_it_was_last_planned_with(
     assert find_used_strategies((made, left_out)) == {FIRST: "nos"}
 
 
+def test_the_strategy_of_a_case_on_the_skin_is_that_of_the_scan_alone() -> None:
+    assert describe_strategies("ocs", {FIRST: "surface", LAST: "surface"}) == "surface"
+
+
 def test_the_head_of_the_page_marks_methods_that_are_not_for_clinical_use(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path / "20261120T000000-s3-ef01")
     methods = CaseMethods(localizer=Localizer.THESIS_LINE, enhance_contrast=True)
@@ -542,6 +546,24 @@ def test_the_campaigns_means_in_the_report_are_those_that_were_stored() -> None:
         *(float(cells[depth, "xframe", "thesis-ocs", "4"][5]) for depth in ("0-50 mm", "50-120 mm")),
     ]
     assert [campaign for _, _, campaign in PUBLISHED_MM] == pytest.approx(stored, abs=0.0006)
+
+
+def test_the_touched_mark_and_what_it_told_stand_with_the_landmarks(tmp_path: Path) -> None:
+    run = recorded_run(
+        tmp_path / "run",
+        (StepKey("ct_import"), IMPORTED),
+        (StepKey("skin_in_ct"), skin_in_ct()),
+        (StepKey("surface_start"), surface_start()),
+        (StepKey("surface_scan"), scanned_surface()),
+        linked=True,
+    )
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", report_text(write_report(run, out=tmp_path / "out"))))
+    for words in (
+        "mark of T1",
+        "Left and right were told by the mark of T1",
+        "21% of the skin above the jaw",
+    ):
+        assert words in text
 
 
 def test_a_registration_on_the_skin_is_reported_with_its_regions_and_without_spheres(tmp_path: Path) -> None:

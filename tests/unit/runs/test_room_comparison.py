@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from clinical_case import ClinicalCell, SeeingTracker
 from prepared_results import coarse
+from pushed_tracker import localized_by_frame, with_patient_frame
 from recording_cell import HOME
 
 from procedures.engine.engine import Engine
@@ -99,6 +100,22 @@ def test_two_spheres_are_too_few_for_a_comparison(cell: ClinicalCell) -> None:
     seen, comparison = compared(engine)
     assert not seen
     assert comparison.differences == []
+
+
+def test_a_head_without_spheres_is_compared_by_the_frame_on_its_clamp_and_the_finding_says_so(
+    cell: ClinicalCell,
+) -> None:
+    tracker = with_patient_frame(cell, MountedTool.STEREO_HEAD)
+    tracker.spheres_mm = np.empty((0, 3))
+    here = localized_by_frame()[0].model_copy(update={"points": ()})
+    engine = cell.begin(here)
+    engine.run_to()
+    seen, comparison = compared(engine)
+    assert seen
+    assert comparison.findings[0] == (
+        "patient: the frame on the clamp within 0.00 mm of its recorded position; "
+        "the head in the clamp was not compared"
+    )
 
 
 class WithoutFrame(SeeingTracker):

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.registration.surface.checks import share_covered
+from procedures.registration.surface.checks import COVERED_MM, share_covered
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.surface_registration import SurfaceRegistration
@@ -34,6 +34,11 @@ def draw_coverage(skin: Surface, points_ct_mm: Array) -> tuple[float, bytes]:
     """Return the covered share of the skin above the jaw, and a PNG picture of it."""
     covered = share_covered(points_ct_mm, skin, HeadAxes.of(skin))
     return covered, _draw_views(skin, points_ct_mm, np.tile(np.array(POINT, float), (len(points_ct_mm), 1)))
+
+
+def tell_coverage(share: float) -> str:
+    """Say how much of the head points cover."""
+    return f"{share:.0%} of the skin above the jaw lies within {COVERED_MM:g} mm of a point"
 
 
 def draw_residuals(skin: Surface, found: SurfaceRegistration) -> bytes:

@@ -52,7 +52,7 @@ from procedures.steps.clinical.room import ROOM_READS
 from procedures.steps.clinical.sphere_pairs import LookedPairs
 from procedures.steps.clinical.surface.carried_head import register_carried
 from procedures.steps.clinical.surface.skin_in_ct import bone_of, skin_of
-from procedures.steps.clinical.surface.skin_pictures import RESIDUALS_PICTURE, draw_residuals
+from procedures.steps.clinical.surface.skin_pictures import RESIDUALS_PICTURE, draw_residuals, tell_coverage
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
@@ -293,7 +293,7 @@ def _accept(
                 f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
                 f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
                 f"{against[0].caution}\nthe skin differs from the CT by {found.misfit_mm:.2f} mm over "
-                f"{found.misfit_length_mm:.0f} mm; {found.coverage:.0%} of it was scanned"
+                f"{found.misfit_length_mm:.0f} mm; {tell_coverage(found.coverage)}"
                 + "".join(
                     f"\nsphere {one.number + 1} is {one.away_mm:.2f} mm from where everything else has it, "
                     f"about {one.rms_mm:.2f} mm are expected"

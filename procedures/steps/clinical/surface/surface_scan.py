@@ -29,7 +29,7 @@ from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedLook, S
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surface.scan_coverage import ScanCoverage, describe_scan
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
-from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, draw_coverage
+from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, draw_coverage, tell_coverage
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.strategies.skin_looks import SKIN
@@ -118,7 +118,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
             theatre_s=sum(one.theatre_s for one in looks),
             kept_looks=len(kept),
         ),
-        summary=f"{len(lines)} lines, {len(points_mm)} points, {covered:.0%} of the skin above the jaw"
+        summary=f"{len(lines)} lines, {len(points_mm)} points, {tell_coverage(covered)}"
         + (f"; {len(dark)} looks show no line" if dark else ""),
     )
 

@@ -51,7 +51,7 @@ def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
     said = capsys.readouterr().err
     assert said.startswith("Read the three dials.\n")
     assert "ronna-sim work dials\n" in said
-    refused = "'0.1 cm' is not a reading: type up to 2 numbers in mm, such as 0.01 or 0.01 mm"
+    refused = "'0.1 cm' is not a reading: type up to 2 numbers in mm, with spaces between: such as 0.01 0.01"
     assert f"{refused}, or 'nobody' to end the step." in said
     assert "'y' is not an answer" in said
 

@@ -20,7 +20,7 @@ from procedures.journal.errors import GateFailed
 from procedures.operator.question import Topic
 from procedures.planning.errors import WRONG_SERIES, PlanMistakes, WrongMarkerCount
 from procedures.planning.plan_file import describe_seal
-from procedures.planning.plan_model import Plan
+from procedures.planning.plan_model import FiducialKind, Plan
 from procedures.planning.short_numbers import short_plan_number
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere
 from procedures.steps.clinical.plan_check import STEP, CheckedPlan
@@ -169,6 +169,13 @@ def test_patient_and_plan_are_asked_about_with_the_identity_apart_and_the_plans_
     assert all(f", {one.depth_mm:.1f} mm deep" in question.value for one in plan().trajectories)
     assert SERIES not in question.value
     assert f"plan {short_plan_number(plan())}, {describe_seal(plan())}" in question.value.splitlines()
+
+
+def test_the_question_about_the_plan_says_that_the_skin_is_registered(cell: ClinicalCell) -> None:
+    on_skin = plan().model_copy(update={"fiducials": FiducialKind.MIXED, "implanted": 2})
+    checked(cell, on_skin, spheres_mm=CENTRES_CT_MM[:2])
+    (question,) = cell.operator.asked
+    assert "registered on the skin and by 2 spheres" in question.value.splitlines()
 
 
 @pytest.mark.hazard(7)

@@ -25,6 +25,7 @@ from procedures.registration.surface.errors import (
     NO_STATIONS,
     NOTHING_LIT,
 )
+from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface import Surface
 from procedures.relocalization.errors import NoLine, PairNotUsable
 from procedures.runs.case import strategy_of
@@ -39,7 +40,10 @@ from procedures.steps.clinical.results import (
     ScannedSurface,
 )
 from procedures.steps.clinical.surface import skin_in_ct, surface_paths, surface_scan
+from procedures.steps.clinical.surface.surface_start import require_fit
 from procedures.workcell import line_look
+from ronna_hw.arrays import Array
+from ronna_hw.errors import RonnaError
 from ronna_hw.roles import TWO_ARMS
 
 
@@ -203,3 +207,41 @@ def test_a_landmark_is_the_end_of_a_thin_ear_and_not_of_a_rest_beside_it() -> No
     angles = np.linspace(0.0, np.pi, 40)
     skin = 20.0 * np.column_stack([np.sin(angles), np.zeros(40), np.cos(angles)])
     assert find_landmark(volume, skin, (1.0, 0.0, 0.0)) == pytest.approx([29.5, -0.5, 0.0], abs=0.6)
+
+
+IN_CT_MM = np.array([[0.0, -105.0, -20.0], [78.0, 5.0, -15.0], [-78.0, 5.0, -15.0]])
+TOUCHED_MM = IN_CT_MM + np.array([900.0, 0.0, 200.0])
+NOSE_BESIDE_MM = np.array([[28.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+
+
+def place(touched_mm: Array) -> Array:
+    """Fit a head whose vertex must be up; return how far the landmarks are from their fit."""
+    prior = SimpleNamespace(
+        sight=SimpleNamespace(centre_mm=np.zeros(3)),
+        check_position=lambda rotation, _middle_mm: (
+            "" if rotation[2, 2] > 0.0 else "the head would be turned"
+        ),
+    )
+    pose = Start.from_landmarks(IN_CT_MM, touched_mm).robot_from_ct
+    return require_fit(IN_CT_MM, touched_mm, pose, cast(Any, prior))
+
+
+def test_landmarks_touched_as_well_as_skin_permits_place_the_head() -> None:
+    slips_mm = np.array([[3.0, -2.0, 2.0], [-3.0, 2.0, 1.0], [2.0, 3.0, -2.0]])
+    assert place(TOUCHED_MM + slips_mm).max() < 4.0
+
+
+@pytest.mark.parametrize(
+    ("touched_mm", "code", "said"),
+    [
+        (TOUCHED_MM + NOSE_BESIDE_MM, "PRO-007", "the tip of the nose fits worst"),
+        (0.1 * TOUCHED_MM, "PRO-007", r"\(in cm\?\)"),
+        (TOUCHED_MM[[0, 2, 1]], "REG-013", "the ears may have been exchanged"),
+        (TOUCHED_MM[[1, 0, 2]], "PRO-007", r"from their fit: tip of the nose \d+ mm, left ear"),
+    ],
+)
+def test_a_mistyped_landmark_is_refused_with_the_slip_that_explains_it(
+    touched_mm: Array, code: str, said: str
+) -> None:
+    with pytest.raises(RonnaError, match=f"{code}: .*{said}"):
+        place(touched_mm)
