@@ -40,6 +40,7 @@ from ronna_hw.text import format_against_limit, format_count
 from ronna_hw.vectors import vector3
 
 TOUCHED = ("tip of the nose", "left ear", "right ear")
+UNITS = {1: "cm", 3: "m"}  # by the power of ten that they are larger than mm
 # Of an entry from the middle of the head: its mirror image is then 30 mm away.
 # Safety against a mirrored CT. Source: three times what a touched mark errs (U).
 LEAST_ASIDE_MM = 15.0
@@ -47,7 +48,6 @@ LEAST_ASIDE_MM = 15.0
 # Safety against a mistyped reading, and against another patient. Source: 7.8 mm rms of three landmarks that
 # err as above (U); in a trial, true readings had 1.4 to 2.1 mm, and a wrong sign at the nose 9.2 mm.
 READ_AGAIN_SHARE = 0.01
-UNITS = {1: "cm", 3: "m"}  # by the power of ten that they are larger than mm
 # Of the touched mark from the entry of the plan.
 # Safety against a mistyped reading, and another patient. Source: an entry is chosen anew near its mark (U).
 READ_MM = 40.0
