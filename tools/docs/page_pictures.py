@@ -111,6 +111,8 @@ def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
 
 def _reviewed(browser: Any, place: Path, out: Path) -> Iterator[Path]:
     """Take a finished case, from its top and from its devices."""
+    place = place / "reviewed"  # the case before has a run of its own there
+    place.mkdir()
     with operated_cases(place) as start:
         case = start("run", "--json")
         case.ended()
