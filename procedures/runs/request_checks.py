@@ -169,13 +169,20 @@ def check_case(request: RunRequest, out: Path) -> None:
         from procedures.planning.plan_model import FiducialKind
         from procedures.steps.catalogue import clinical_steps
 
-        steps = clinical_steps(
-            measure_targets=case_procedure.measure_targets,
-            intraoperative=case_procedure.intraoperative,
-            roles=case_procedure.roles,
-            fiducials=FiducialKind(request.choice.fiducials),
+        stated = FiducialKind(request.choice.fiducials)
+        # The file of a scene has fiducials of its own; it is read only later.
+        kinds = tuple(FiducialKind) if request.choice.scene.endswith(".toml") else (stated,)
+        steps = (
+            step.name
+            for kind in kinds
+            for step in clinical_steps(
+                measure_targets=case_procedure.measure_targets,
+                intraoperative=case_procedure.intraoperative,
+                roles=case_procedure.roles,
+                fiducials=kind,
+            )
         )
-        check_fault_script(request.faults, [step.name for step in steps])
+        check_fault_script(request.faults, tuple(dict.fromkeys(steps)))
 
 
 def require_space(out: Path) -> None:

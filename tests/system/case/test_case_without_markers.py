@@ -68,13 +68,11 @@ class Bad:
 
 
 BAD = {
-    "a head of another patient": Bad(
-        "surface_registration", ("SRF-005", "SRF-009", "SRF-010"), change=exchange_head
-    ),
+    "a head of another patient": Bad("surface_start", ("PRO-007",), change=exchange_head),
     "a mirrored CT": Bad("surface_start", ("SRF-006",), change=mirror_ct),
     "half a head in the CT": Bad("skin_in_ct", ("SRF-037",), change=halve_ct),
     "a head that moves with its clamp": Bad(
-        "surface_scan", ("PRO-052",), faults=f"{SCANNING} after 30 s: room shift head 1 1 0.5 mm"
+        "surface_scan", ("PRO-020", "PRO-052"), faults=f"{SCANNING} after 30 s: room shift head 1 1 0.5 mm"
     ),
     "a projector that stays dark": Bad(
         "surface_scan", ("SRF-032",), faults=f"{SCANNING}: camera projector dark"
