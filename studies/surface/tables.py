@@ -192,11 +192,11 @@ def _by_variable(outcomes: Sequence[Outcome]) -> list[dict[str, Cell]]:
     rows: list[dict[str, Cell]] = []
     for variable, edges in (("size_mm", SIZE_EDGES_MM), ("length_mm", LENGTH_EDGES_MM)):
         for low, high in pairwise(edges):
-            chosen = _where(outcomes, lambda one: low <= one.values[variable] <= high)  # noqa: B023
+            chosen = _where(outcomes, lambda one: low <= one.values[variable] <= high)  # noqa: B023  # called at once
             rows.append({"variable": variable, **_row("value", f"{low:g} to {high:g}", chosen)})
     for variable, values in (("offset_sd_mm", OFFSETS_MM), ("noise_mm", NOISES_MM)):
         for value in values:
-            chosen = _where(outcomes, lambda one: one.values[variable] == value)  # noqa: B023
+            chosen = _where(outcomes, lambda one: one.values[variable] == value)  # noqa: B023  # called at once
             rows.append({"variable": variable, **_row("value", f"{value:g}", chosen)})
     for depth in DEPTHS_MM:
         chosen = [one.at_depth(depth) for one in outcomes]

@@ -15,8 +15,13 @@ from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.surface.changed_skin import ChangedSkin, list_regions
 from procedures.registration.surface.errors import SCANS_APART
-from procedures.registration.surface.evidence import SCOUTS
-from procedures.registration.surface.misfit import Adjustment, MisfitModel, PoseMixture
+from procedures.registration.surface.misfit import (
+    MISFITS,
+    Adjustment,
+    MisfitModel,
+    PoseMixture,
+    Roughness,
+)
 from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
@@ -27,7 +32,10 @@ from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
 
 LARGEST_MISFIT_MM = 0.2  # between two scans that share what they miss of the CT (U)
-ALIKE = tuple(one for one in SCOUTS if one.size_mm <= LARGEST_MISFIT_MM)
+KINDS = ((Roughness.ROUGH, 40.0), (Roughness.SMOOTH, 20.0))  # two suffice where little differs
+ALIKE = tuple(
+    one for one in MISFITS if (one.roughness, one.length_mm) in KINDS and one.size_mm <= LARGEST_MISFIT_MM
+)
 COMMON_MM = 8.0  # from a point of the second scan to those of the first
 LEAST_COMMON = 30  # points: five for each unknown of a movement
 NEIGHBOURS = 6

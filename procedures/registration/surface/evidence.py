@@ -14,12 +14,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import logsumexp
 
-from procedures.registration.surface.misfit import MISFITS, MisfitModel, Roughness
+from procedures.registration.surface.misfit import MisfitModel
 from ronna_hw.arrays import Array
-
-# A third of all hypotheses: one length of each kind suffices to tell sizes apart.
-SCOUTED = ((Roughness.ROUGH, 40.0), (Roughness.SMOOTH, 20.0))
-SCOUTS = tuple(one for one in MISFITS if (one.roughness, one.length_mm) in SCOUTED)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Where the scalp is open, the scan lies on bone, and is registered to it."""
+"""A scan that lies on bare bone, where the scalp is open, is registered to it."""
 
 from __future__ import annotations
 
