@@ -11,17 +11,21 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+from scipy.special import expit
 
-from procedures.registration.surface.misfit import PoseMixture
+from procedures.registration.surface.misfit import Adjustment, MisfitModel, PoseMixture, Roughness
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.settling import Settled
 from ronna_hw.arrays import Array, Mask
 
 SIDE_SHARES = (0.2, 1.0 / 3.0, 0.45)  # of the scan, as when the head lay on one side
-CAPS_APART_MM = 25.0
-DISC_RADII_MM, DISCS_APART = (15.0, 30.0), 0.7  # apart relative to the radius
+DISCS_APART_MM = 8.0
+DISC_RADII_MM = 12.0 * 1.2 ** np.arange(14)
+DISC_EDGE_MM = 2.0  # of the logistic function across its edge: nine tenths of it within six times that
 FEWEST_IN_REGION = 6
+MOST_REGIONS = 200  # in the adjustment
+SCORED = {(Roughness.ROUGH, 40.0), (Roughness.SMOOTH, 20.0)}  # hypotheses, by which these are chosen
 LEAST_CHANGE_MM = (
     0.2  # expected, the chance that it moved counted in; a smaller one is a misfit like any other
 )
@@ -57,25 +61,31 @@ class ChangedSkin:
 def list_regions(places_mm: Array, normals: Array, axes: HeadAxes) -> Array:
     """List regions of a scan that may have moved as one, (n, g) by how far a unit of it moves their points.
 
-    Along the normals: parts by name, sides, caps, and discs. Along each axis of the CT: the slices above or
-    below some place, in which a patient who moved during the scan is elsewhere.
+    Along the normals: parts by name, sides, and discs of all sizes with soft edges. Along each axis of the
+    CT: the slices above or below some place, in which a patient who moved during the scan is elsewhere.
     """
     names = axes.name_parts(places_mm)
     groups = [names == one for one in np.unique(names)]
     ways_mm = [sign * along for along in places_mm.T for sign in (1.0, -1.0)]
-    ways_mm += [
-        np.linalg.norm(places_mm - places_mm[row], axis=1) for row in _spread(places_mm, CAPS_APART_MM)
-    ]
     groups.extend(way_mm < np.quantile(way_mm, share) for way_mm in ways_mm for share in SIDE_SHARES)
-    tree = cKDTree(places_mm)
-    for radius_mm in DISC_RADII_MM:
-        for rows in tree.query_ball_point(places_mm[_spread(places_mm, DISCS_APART * radius_mm)], radius_mm):
-            groups.append(np.isin(np.arange(len(places_mm)), rows))
-    groups = [one for one in groups if FEWEST_IN_REGION <= one.sum() <= len(places_mm) // 2]
+    away_mm = cdist(places_mm, places_mm[_spread(places_mm, DISCS_APART_MM)])
+    discs = expit((DISC_RADII_MM[:, None, None] - away_mm) / DISC_EDGE_MM)
+    regions = np.column_stack([*groups, *discs]).astype(float)
+    counts = regions.sum(axis=0)
+    regions = regions[:, (counts >= FEWEST_IN_REGION) & (counts <= len(places_mm) / 2.0)]
     heights_mm = (places_mm[:, 2], -places_mm[:, 2])
     slabs = [one < np.quantile(one, share) for one in heights_mm for share in SIDE_SHARES]
-    by_slab = [slab[:, None] * normals for slab in slabs]
-    return np.column_stack([*groups, *by_slab]).astype(float)
+    return np.column_stack([regions, *(slab[:, None] * normals for slab in slabs)])
+
+
+def likely_regions(model: MisfitModel, jacobian: Array, residuals_mm: Array, regions: Array) -> Array:
+    """Return those of the regions (n, g) that explain residuals best, by a few of the hypotheses."""
+    if regions.shape[1] <= MOST_REGIONS:
+        return regions
+    few = model.some(lambda one: (one.roughness, one.length_mm) in SCORED)
+    mixture = Adjustment.of(few, jacobian, regions).step(residuals_mm)
+    weights = np.bincount(mixture.region, mixture.weights, regions.shape[1] + 1)[1:]
+    return regions[:, np.sort(np.argsort(-weights, kind="stable")[:MOST_REGIONS])]
 
 
 def _spread(places_mm: Array, apart_mm: float) -> list[int]:

@@ -171,6 +171,16 @@ class MisfitModel:
         equal = np.full(len(misfits), 1.0 / len(misfits))
         return cls(tuple(misfits), np.log(equal if prior is None else prior), tuple(factors), logs)
 
+    def some(self, is_chosen: Callable[[Misfit], bool]) -> MisfitModel:
+        """Return the model of some hypotheses alone."""
+        rows = [row for row, one in enumerate(self.misfits) if is_chosen(one)]
+        return MisfitModel(
+            tuple(self.misfits[row] for row in rows),
+            self.log_prior[rows],
+            tuple(self.factors[row] for row in rows),
+            self.log_determinants[rows],
+        )
+
     def adjust(self, jacobian: Array, residuals_mm: Array) -> PoseMixture:
         """Find the shift that removes residuals (n,), which grow by `jacobian` (n, 6) per unit of shift."""
         return Adjustment.of(self, jacobian).step(residuals_mm)
@@ -200,15 +210,19 @@ class Adjustment:
     covariances: Array
 
     @classmethod
-    def of(cls, model: MisfitModel, jacobian: Array, regions: Array | None = None) -> Self:
-        """Prepare for a `jacobian` (n, 6) of the residuals."""
+    def of(
+        cls, model: MisfitModel, jacobian: Array, regions: Array | None = None, of_regions: int = 0
+    ) -> Self:
+        """Prepare for a `jacobian` (n, 6) of the residuals.
+
+        The regions may be those that are left of more, `of_regions`, that are equally likely beforehand.
+        """
         moved, chances = np.zeros((len(jacobian), 1)), np.ones(1)
         if regions is not None and regions.shape[1]:
             beside = len(jacobian) - len(regions)  # residuals that are not of the skin
             moved = np.pad(CHANGED_MM * regions, ((0, beside), (1, 0)))
-            chances = np.append(
-                1.0 - CHANGED_SHARE, np.full(regions.shape[1], CHANGED_SHARE / regions.shape[1])
-            )
+            each = CHANGED_SHARE / max(of_regions, regions.shape[1])
+            chances = np.append(1.0 - CHANGED_SHARE, np.full(regions.shape[1], each))
         hypotheses, covariances = [], []
         columns = np.column_stack([jacobian, moved])
         for (factor, _), determinant, prior in zip(

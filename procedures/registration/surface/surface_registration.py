@@ -22,7 +22,7 @@ from procedures.registration.points import validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.surface.arm_at_target import FoundArm
 from procedures.registration.surface.bare_bone import open_where_bare
-from procedures.registration.surface.changed_skin import ChangedSkin, list_regions
+from procedures.registration.surface.changed_skin import ChangedSkin, likely_regions, list_regions
 from procedures.registration.surface.checks import (
     SurfaceLimits,
     is_side_proven,
@@ -335,8 +335,10 @@ class _Adjusted:
             along = np.vstack([along, columns.of_spheres()])
             jacobian = np.vstack([jacobian, spheres.jacobian(found.pose, centre)])
             model = MisfitModel.of(points, towards, noise, along, known_mm2=spheres.covariance_mm2)
-        regions = list_regions(places, found.normals[used], axes)
-        adjustment = Adjustment.of(model, jacobian, regions)
+        listed = list_regions(places, found.normals[used], axes)
+        residuals = np.append(found.distances_mm[used], spheres.residuals_mm(found.pose))
+        regions = likely_regions(model, jacobian, residuals, listed)
+        adjustment = Adjustment.of(model, jacobian, regions, listed.shape[1])
         for _ in range(MOST_STEPS):
             residuals = np.append(found.distances_mm[used], spheres.residuals_mm(found.pose))
             mixture = adjustment.step(residuals)
