@@ -1,9 +1,9 @@
-"""Kinds of misfit that judge: pads, hydration, slid tissue, thick slices, a tube, a beard.
+"""Kinds of misfit that judged second: pads, hydration, slid tissue, thick slices, a tube, a beard.
 
-They were written without sight of the estimator or its results (decision 33); nothing may be tuned on them.
-Each is the displacement along the outward normal, in the CT frame, outwards positive. Its rms over front and
-ears of a head is 0.4 to 0.8 of the drawn `size_mm`, in the mean of many draws. Other parts of the head see
-more or less of it, by the physics. Beside it all skin has a weak field, of the drawn length.
+They judged once, were then looked at, and are development kinds since (decision 33). Each is the displacement
+along the outward normal, in the CT frame, outwards positive. Its rms over front and ears of a head is 0.4 to
+0.8 of the drawn `size_mm`, in the mean of many draws. Other parts of the head see more or less of it, by the
+physics. Beside it all skin has a weak field, of the drawn length.
 
 All leave the brain where it was in the CT. Estimates of ours are marked (U).
 """
@@ -11,6 +11,7 @@ All leave the brain where it was in the CT. Estimates of ours are marked (U).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -75,6 +76,24 @@ DEEP_TO_TIPS = 1.7  # slope of the light's depth by the field of the strands: ne
 BEARD_SHARE = 3.1
 
 
+class Blur(NamedTuple):
+    """Thick slices: tilt about the axis to the left, and width of an edge across them relative to along."""
+
+    tilt_deg: float
+    ratio: float
+
+    @property
+    def across(self) -> Array:
+        """Unit vector (3,) across the slices, in the CT frame."""
+        turn = Rotation.from_euler("x", self.tilt_deg, degrees=True)
+        return np.asarray(turn.apply([0.0, 0.0, 1.0]))
+
+
+def draw_blur(random: np.random.Generator) -> Blur:
+    """Draw thick slices; `Skin.BLUR` draws nothing before them but the seed of the weak field beside."""
+    return Blur(tilt_deg=random.uniform(*TILT_DEG), ratio=random.uniform(*BLUR_RATIOS))
+
+
 def _pads(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
     """Release soft tissue that pads pressed on both sides in the CT."""
     own, (_, ear_y, ear_z) = points_mm - head.centre_ct_mm, head.landmarks.ear
@@ -113,11 +132,10 @@ def _slide(head: ParametricHead, points_mm: Array, length_mm: float, random: np.
 
 def _blur(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
     """Shift the level of the skin where it is along the slices of a CT with thick ones."""
-    across = Rotation.from_euler("x", random.uniform(*TILT_DEG), degrees=True).apply([0.0, 0.0, 1.0])
-    along_slice_squared = (head.normals(points_mm) @ across) ** 2
-    ratio = random.uniform(*BLUR_RATIOS)
-    wider = np.sqrt(1.0 + (ratio**2 - 1.0) * along_slice_squared) - 1.0
-    return np.asarray(BLUR_SHARE * random.normal(*LEVEL) * wider / (ratio - 1.0))
+    blur = draw_blur(random)
+    along_slice_squared = (head.normals(points_mm) @ blur.across) ** 2
+    wider = np.sqrt(1.0 + (blur.ratio**2 - 1.0) * along_slice_squared) - 1.0
+    return np.asarray(BLUR_SHARE * random.normal(*LEVEL) * wider / (blur.ratio - 1.0))
 
 
 def _tube(head: ParametricHead, points_mm: Array, length_mm: float, random: np.random.Generator) -> Array:
@@ -164,7 +182,7 @@ def _uneven(points_mm: Array, random: np.random.Generator) -> Array:
     return np.asarray(1.0 + UNEVEN * field(random, UNEVEN_MM).at(points_mm))
 
 
-JUDGED_KINDS: Mapping[Skin, Kind] = {
+SECOND_JUDGED_KINDS: Mapping[Skin, Kind] = {
     Skin.PADS: _pads,
     Skin.HYDRATION: _hydration,
     Skin.SLIDE: _slide,
