@@ -78,7 +78,7 @@ def _register(study: SurfaceStudy) -> tuple[Results, dict[str, float], dict[str,
     refused: dict[str, str] = {}
     for unit in study.units():
         in_ct, trial, draw = draw_unit(study.seed, unit)
-        surface, name = in_ct.with_offset(draw.offset_mm), scan_name(unit)
+        surface, name = in_ct.shown_by(draw.offset_mm, trial.slices), scan_name(unit)
         targets = _targets(study, unit, in_ct)
         ways = {(OURS, ""): partial(_ours, trial, surface, targets)}
         if unit.condition.startswith(f"{Coverage.ALL}|"):  # principal axes need the whole head

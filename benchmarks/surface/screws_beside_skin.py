@@ -45,7 +45,7 @@ def main() -> None:
         for skin in FIRST_JUDGED:
             unit = Unit(f"{Coverage.FRONT_AND_EARS}|{skin}", head, 1)
             in_ct, trial, draw = draw_unit(SEED, unit)
-            surface = in_ct.with_offset(draw.offset_mm)
+            surface = in_ct.shown_by(draw.offset_mm, trial.slices)
             random = np.random.default_rng((SEED, head, *skin.encode()))
             targets = np.concatenate(list(in_ct.targets_mm(random).values()))
             screws = _place_screws(surface.points_mm, surface.normals)

@@ -94,6 +94,11 @@ class CtSurface:
         """Outward unit normals (m, 3) of the samples."""
         return np.asarray(self.directions[self.is_surface])
 
+    @property
+    def voxel_mm(self) -> Array:
+        """Edges (3, 3) of the voxels, as rows."""
+        return np.asarray((self.grid.geometry.axes * self.grid.geometry.spacing_mm).T)
+
     def residuals(self, points_ct_mm: Array) -> tuple[Array, Array, Mask]:
         """Return signed distances (n,) along the normals (n, 3), positive outside, and which are valid."""
         _, nearest = self.tree.query(points_ct_mm)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Self
 
@@ -13,8 +13,10 @@ from ronna_hw.arrays import Array, Mask
 from sim.world.head_surface.face import draw_measures
 from sim.world.head_surface.parametric_head import ParametricHead
 from studies.surface.conditions import DEPTHS_MM, TARGETS_EACH
+from studies.surface.second_judged_skins import Blur
 
 CENTRE_CT_MM = (0.0, 0.0, 0.0)
+EDGE_MM = 0.7  # width of the skin's edge in a CT of thin slices: its pixel and its kernel (U)
 SPACING_MM = 3.0  # of the samples, nearly
 PROJECTIONS = 4
 ON_SKIN_MM = 0.01
@@ -24,7 +26,7 @@ MOST_TRIES = 5000  # candidates for targets
 
 @dataclass(frozen=True, eq=False)
 class HeadInCt:
-    """Skin of a parametric head in the CT, whose level is wrong by `offset_mm`.
+    """Skin of a parametric head in the CT, whose level is wrong by `offset_mm`; `voxel_mm` (3, 3) its edges.
 
     Exact otherwise: the study judges the registration, not the finding of the skin in grey values. `skin_mm`
     (m, 3) are samples of the skin itself, `normals` (m, 3) their outward directions.
@@ -34,15 +36,17 @@ class HeadInCt:
     skin_mm: Array
     normals: Array
     offset_mm: float = 0.0
+    voxel_mm: Array = field(default_factory=lambda: EDGE_MM * np.eye(3))
 
     @classmethod
     def sample(cls, head: ParametricHead, spacing_mm: float = SPACING_MM) -> Self:
         """Sample the skin of a head."""
         return cls(head, *_sample_skin(head, spacing_mm))
 
-    def with_offset(self, offset_mm: float) -> Self:
-        """Return the same head in a CT that shows its skin outside by an offset."""
-        return replace(self, offset_mm=offset_mm)
+    def shown_by(self, offset_mm: float, slices: Blur | None) -> Self:
+        """Return the same head in a CT that shows its skin outside by an offset, perhaps in thick slices."""
+        voxel_mm = self.voxel_mm if slices is None else slices.voxel_mm(EDGE_MM)
+        return replace(self, offset_mm=offset_mm, voxel_mm=voxel_mm)
 
     @property
     def points_mm(self) -> Array:

@@ -13,8 +13,9 @@ from studies.campaign import bounds
 from studies.campaign.bounds import Bounded
 from studies.campaign.study import Sums
 from studies.surface.conditions import SHIFTED
-from studies.surface.study import CHANGED, ERROR, LIMIT, REFUSED, RMS
+from studies.surface.study import CHANGED, DRAWN, ERROR, LIMIT, REFUSED, RMS
 
+ROWS = (ERROR, RMS, LIMIT, DRAWN)
 FEWEST_FOR_CORRELATION = 10
 
 
@@ -22,7 +23,8 @@ FEWEST_FOR_CORRELATION = 10
 class Outcome:
     """One registration: its conditions, the code of a refusal, and per target what came of it.
 
-    `targets` has rows of error, predicted rms and predicted limit in mm; `depths` names each row's depth.
+    `targets` has rows of error, predicted rms, predicted limit, and an error drawn from the prediction, in
+    mm; `depths` names each row's depth.
     """
 
     coverage: str
@@ -70,7 +72,7 @@ def read_outcomes(sums: Mapping[str, Sums]) -> list[Outcome]:
 def _read(coverage: str, skin: str, head: int, values: Mapping[str, float]) -> Outcome:
     refusals = [name.partition("|")[2] for name in values if name.startswith(f"{REFUSED}|")]
     places = [name.rpartition("|")[0] for name in values if name.endswith(f"|{ERROR}")]
-    targets = [[values[f"{place}|{what}"] for what in (ERROR, RMS, LIMIT)] for place in places]
+    targets = [[values[f"{place}|{what}"] for what in ROWS] for place in places]
     alone = {name: value for name, value in values.items() if "|" not in name or name == CHANGED}
     return Outcome(
         coverage,
@@ -78,7 +80,7 @@ def _read(coverage: str, skin: str, head: int, values: Mapping[str, float]) -> O
         head,
         alone,
         refusals[0] if refusals else None,
-        np.array(targets).reshape(-1, 3),
+        np.array(targets).reshape(-1, len(ROWS)),
         tuple(place.partition("|")[0] for place in places),
     )
 
@@ -89,8 +91,8 @@ def accepted(outcomes: Sequence[Outcome]) -> list[Outcome]:
 
 
 def targets_of(outcomes: Sequence[Outcome]) -> Array:
-    """Return the rows of all targets: error, predicted rms and limit, mm."""
-    return np.concatenate([np.zeros((0, 3)), *(one.targets for one in outcomes)])
+    """Return the rows of all targets, as `Outcome` has them."""
+    return np.concatenate([np.zeros((0, len(ROWS))), *(one.targets for one in outcomes)])
 
 
 def refused_share(outcomes: Sequence[Outcome]) -> Bounded:
@@ -116,9 +118,12 @@ def share_within(outcomes: Sequence[Outcome]) -> Bounded | None:
     )
 
 
-def correlation_squared(outcomes: Sequence[Outcome]) -> float | None:
-    """Return R² of the errors by the predicted rms, over all targets."""
+def correlation_squared(outcomes: Sequence[Outcome], of: str = ERROR) -> float | None:
+    """Return R² of the errors, or of those drawn from the predictions, by the predicted rms.
+
+    That of the drawn errors is what a prediction reaches that is right each time: an error is a draw.
+    """
     targets = targets_of(outcomes)
     if len(targets) < FEWEST_FOR_CORRELATION:
         return None
-    return bounds.correlation(targets[:, 0], targets[:, 1]).value ** 2
+    return bounds.correlation(targets[:, ROWS.index(of)], targets[:, ROWS.index(RMS)]).value ** 2

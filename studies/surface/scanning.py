@@ -27,6 +27,7 @@ from studies.surface.conditions import (
     unit_directions,
 )
 from studies.surface.heads import HeadInCt
+from studies.surface.second_judged_skins import Blur, foresee_blur
 from studies.surface.skins import displace, shift_third
 
 LINES, POINTS = 10, 80  # of a look: a line each, and points along it
@@ -46,11 +47,12 @@ PLACE_MM = 400.0  # of the head from the robot's base, standard deviation of eac
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One scan with its start, and the true pose robot <- CT."""
+    """One scan with its start, the true pose robot <- CT, and the slices of the CT if they are thick."""
 
     scan: SurfaceScan
     start: Start
     truth: Transform
+    slices: Blur | None
 
 
 class Lit(NamedTuple):
@@ -73,6 +75,7 @@ def draw_trial(
     head = _with_hair(in_ct.head, scanned.hair, random)
     points, projector, look, line = _find_visible(in_ct.head, scanned.looks)
     normals = head.normals(points)
+    slices = foresee_blur(random) if skin is Skin.BLUR else None
     moved = displace(skin, head, points, draw, random)
     if shifted:
         moved = moved + shift_third(points, random)
@@ -101,7 +104,7 @@ def draw_trial(
         line=line[kept],
         view_mm=truth.apply(projector[kept]),
     )
-    return Trial(scan, _draw_start(truth, random), truth)
+    return Trial(scan, _draw_start(truth, random), truth, slices)
 
 
 def _with_hair(head: ParametricHead, hair: Hair, random: np.random.Generator) -> ParametricHead:

@@ -11,6 +11,7 @@ All leave the brain where it was in the CT. Estimates of ours are marked (U).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
 from typing import NamedTuple
 
 import numpy as np
@@ -87,6 +88,18 @@ class Blur(NamedTuple):
         """Unit vector (3,) across the slices, in the CT frame."""
         turn = Rotation.from_euler("x", self.tilt_deg, degrees=True)
         return np.asarray(turn.apply([0.0, 0.0, 1.0]))
+
+    def voxel_mm(self, edge_mm: float) -> Array:
+        """Return the edges (3, 3) of a voxel, as rows, for the width of an edge along the slices."""
+        turn = Rotation.from_euler("x", self.tilt_deg, degrees=True)
+        return np.asarray(edge_mm * np.diag([1.0, 1.0, self.ratio]) @ turn.as_matrix().T)
+
+
+def foresee_blur(random: np.random.Generator) -> Blur:
+    """Return the thick slices that `displace` will draw: they are stated with the CT, beside its values."""
+    ahead = deepcopy(random)
+    field(ahead, 1.0)
+    return draw_blur(ahead)
 
 
 def draw_blur(random: np.random.Generator) -> Blur:

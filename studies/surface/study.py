@@ -31,6 +31,7 @@ from studies.surface.scanning import Trial, draw_trial
 
 REFUSED, CHANGED = "refused", "changed"
 ERROR, RMS, LIMIT = "error mm", "predicted rms mm", "predicted limit mm"
+DRAWN = "error drawn from the prediction, mm"
 DIGITS = 5
 SHIFT_NOISE_MM = 0.1
 TARGETS_SEED = 1  # added to the study's: targets do not depend on how a scan draws
@@ -71,7 +72,7 @@ class SurfaceStudy(Study):
         try:
             result = register_surface(
                 trial.scan,
-                in_ct.with_offset(draw.offset_mm),
+                in_ct.shown_by(draw.offset_mm, trial.slices),
                 trial.start,
                 targets_ct_mm=np.concatenate(list(targets.values())),
             )
@@ -81,7 +82,7 @@ class SurfaceStudy(Study):
             found[CHANGED] = float(result.changed is not None)
             for depth, places in targets.items():
                 for number, target in enumerate(places):
-                    values = _judge(result, trial, target)
+                    values = _judge(result, trial, target, random)
                     found |= {
                         f"{depth}|{number}|{what}": round(value, DIGITS) for what, value in values.items()
                     }
@@ -105,7 +106,9 @@ def draw_unit(seed: int, unit: Unit) -> tuple[HeadInCt, Trial, Draw]:
     return in_ct, draw_trial(in_ct, Coverage(coverage), Skin(skin), draw, random, shifted=False), draw
 
 
-def _judge(result: SurfaceRegistration, trial: Trial, target: np.ndarray) -> dict[str, float]:
+def _judge(
+    result: SurfaceRegistration, trial: Trial, target: np.ndarray, random: np.random.Generator
+) -> dict[str, float]:
     place = target[None]
     apart = result.robot_from_ct.apply(place) - trial.truth.apply(place)
     predicted = result.predict(target)
@@ -113,4 +116,5 @@ def _judge(result: SurfaceRegistration, trial: Trial, target: np.ndarray) -> dic
         ERROR: float(np.linalg.norm(apart)),
         RMS: predicted.rms_mm,
         LIMIT: predicted.limit_mm(),
+        DRAWN: float(np.linalg.norm(predicted.draw_mm(random))),
     }

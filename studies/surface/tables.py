@@ -41,7 +41,7 @@ from studies.surface.outcomes import (
     share_within,
     targets_of,
 )
-from studies.surface.study import CHANGED
+from studies.surface.study import CHANGED, DRAWN
 
 SIZE_EDGES_MM = (0.1, 0.2, 0.4, 0.8)
 LENGTH_EDGES_MM = (12.0, 20.0, 32.0, 50.0)
@@ -73,8 +73,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         Table.of(
             "By coverage",
             [_row("coverage", coverage, _of(chosen, coverage)) for coverage in Coverage],
-            f"{name.capitalize()} skins only. R²: true errors against the predicted rms. {bounds.NOTE} The "
-            "targets of a head count as one group.",
+            f"{name.capitalize()} skins only. R²: true errors by the predicted rms; that of errors drawn "
+            "from the predictions is what there would be if all of these were right. "
+            f"{bounds.NOTE} The targets of a head count as one group.",
         ),
         Table.of(
             "By coverage and skin",
@@ -185,6 +186,7 @@ def _row(name: str, value: Cell, chosen: Sequence[Outcome]) -> dict[str, Cell]:
         "within limit %": None if within is None else within.value,
         bounds.column("within"): "" if within is None else within.text,
         "R²": correlation_squared(chosen),
+        "R² of drawn errors": correlation_squared(chosen, DRAWN),
     }
 
 

@@ -39,6 +39,11 @@ class OpenedHead:
         """Outward unit normals (m, 3) of the samples."""
         return self.skin.normals
 
+    @property
+    def voxel_mm(self) -> Array:
+        """Edges (3, 3) of the voxels, as rows."""
+        return self.skin.voxel_mm
+
     def residuals(self, points_ct_mm: Array) -> tuple[Array, Array, Mask]:
         """Return signed distances (n,), normals (n, 3) and which are valid, of skin or bone."""
         distances, normals, valid = self.skin.residuals(points_ct_mm)

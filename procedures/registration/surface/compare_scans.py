@@ -5,7 +5,7 @@ Both are compared through the surface in the CT: what it misses is the same in b
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,7 @@ from procedures.registration.surface.changed_skin import ChangedSkin, list_regio
 from procedures.registration.surface.errors import SCANS_APART
 from procedures.registration.surface.misfit import (
     MISFITS,
+    POSE,
     Adjustment,
     MisfitModel,
     PoseMixture,
@@ -26,7 +27,7 @@ from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.settling import NEAR_MM, Pose, Settled
-from procedures.registration.surface.surface import Surface
+from procedures.registration.surface.surface import Surface, level_errors_mm
 from procedures.registration.surface.thinning import thin_points
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
@@ -39,6 +40,7 @@ ALIKE = tuple(
 COMMON_MM = 8.0  # from a point of the second scan to those of the first
 LEAST_COMMON = 30  # points: five for each unknown of a movement
 NEIGHBOURS = 6
+MOST_STEPS, STILL = 5, 0.02  # mm and rad: a smaller step changes nothing here
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,24 +92,32 @@ def compare_scans(
     kept = before.valid & (np.abs(before.distances_mm) < NEAR_MM)
     rows = thin_points(second.points_mm)
     thin = second.select(rows)
-    after = Settled.at(pose, thin.points_mm, thin.view_mm, surface)
-    usual, noise_mm2, used = _read_before(before, first, kept, after)
-    used &= after.valid & (np.abs(after.distances_mm) < NEAR_MM)
-    if used.sum() < LEAST_COMMON:
-        raise SCANS_APART("the scans share too little", limit=f"{LEAST_COMMON} points", got=f"{used.sum()}")
-    common = float(used.mean())
-    difference = Settled(pose, after.places_mm, after.distances_mm - usual, after.normals, after.valid)
-    own_noise = _along(after, thin) + noise_mm2
     looks = np.unique(thin.look)[None, :, None] == thin.look[:, None, None]
     both_mm = np.sqrt(2.0) * look_mm  # of a look in either scan
-    shared_mm = (both_mm * looks * (after.normals @ pose.rotation)[:, None, :]).reshape(len(thin), -1)
-    places = after.places_mm[used]
-    centre, regions = places.mean(axis=0), list_regions(places, after.normals[used], axes)
-    model = MisfitModel.of(places, after.normals[used], own_noise[used], shared_mm[used], ALIKE)
-    adjustment = Adjustment.of(model, difference.jacobian(centre)[used], regions)
-    mixture = adjustment.step(difference.distances_mm[used])
+    centre, moved = pose.apply(thin.points_mm).mean(axis=0), np.zeros(POSE)
+    for _ in range(MOST_STEPS):
+        after = Settled.at(pose.moved(moved, centre), thin.points_mm, thin.view_mm, surface)
+        usual, noise_mm2, used = _read_before(before, first, kept, after)
+        used &= after.valid & (np.abs(after.distances_mm) < NEAR_MM)
+        if used.sum() < LEAST_COMMON:
+            raise SCANS_APART(
+                "the scans share too little", limit=f"{LEAST_COMMON} points", got=f"{used.sum()}"
+            )
+        own_noise = _along(after, thin) + noise_mm2
+        shared_mm = (both_mm * looks * (after.normals @ pose.rotation)[:, None, :]).reshape(len(thin), -1)
+        places, normals = after.places_mm[used], after.normals[used]
+        regions, level_mm = list_regions(places, normals, axes), level_errors_mm(normals, surface.voxel_mm)
+        model = MisfitModel.of(places, normals, own_noise[used], shared_mm[used], level_mm, ALIKE)
+        adjustment = Adjustment.of(model, after.jacobian(centre)[used], regions)
+        beyond_mm = after.distances_mm - usual
+        mixture = adjustment.step(beyond_mm[used])
+        if np.abs(mixture.mean).max() < STILL:
+            break
+        moved = moved + mixture.mean
+    difference = Settled(after.pose, after.places_mm, beyond_mm, after.normals, after.valid)
     changed = ChangedSkin.of(mixture, regions, difference, used, axes)
-    return ScanComparison(changed, common, centre, robot_from_ct, mixture.likely())
+    mixture = replace(mixture, shifts=mixture.shifts + moved).likely()
+    return ScanComparison(changed, float(used.mean()), centre, robot_from_ct, mixture)
 
 
 def _read_before(

@@ -24,7 +24,6 @@ from scipy.spatial.distance import cdist
 from ronna_hw.arrays import Array
 
 POSE = 6  # unknowns of a pose
-OFFSET_SD_MM = 0.15  # of the surface's level in the CT, the same everywhere (U)
 LEAST_NOISE_MM = 0.03  # of a surface by grey values, from point to point (U)
 CHANGED_MM = 1.0  # way of a region of skin that moved by itself, standard deviation (U)
 CHANGED_SHARE = 0.9  # of all scans have such a region (U)
@@ -144,19 +143,21 @@ class MisfitModel:
         normals: Array,
         noise_mm2: Array,
         shared_mm: Array,
+        level_mm: Array,
         misfits: Sequence[Misfit] = MISFITS,
         prior: Array | None = None,
         known_mm2: Array = NOTHING_KNOWN,
     ) -> Self:
         """Factor the covariances for points (n, 3) with noise (n,) along their normals (n, 3), in one frame.
 
-        `shared_mm` (n, k) is the displacement along the normals by further errors of one standard deviation.
+        `shared_mm` (n, k) is the displacement along the normals by further errors of one standard deviation,
+        `level_mm` (n, l) by those of the surface's level in the CT.
         All hypotheses are equally likely without a `prior` (h,). `known_mm2` (q, q) is the covariance of
         further residuals, the last rows of `shared_mm`, which have nothing of the misfit.
         """
         count, distances_mm = len(points_mm), cdist(points_mm, points_mm)
         common = shared_mm @ shared_mm.T
-        common[:count, :count] += OFFSET_SD_MM**2
+        common[:count, :count] += level_mm @ level_mm.T
         common[np.diag_indices(count)] += noise_mm2 + LEAST_NOISE_MM**2
         common[count:, count:] += known_mm2
         cosines, units, factors = normals @ normals.T, dict[Misfit, Array](), []

@@ -36,6 +36,11 @@ class SurfacePrediction:
         """Rms magnitude of the error."""
         return float(np.sqrt(np.trace(self.covariance_mm2)))
 
+    def draw_mm(self, random: np.random.Generator) -> Array:
+        """Draw an error (3,), as it comes if the prediction is right."""
+        row = int(random.choice(len(self.weights), p=self.weights / self.weights.sum()))
+        return np.asarray(random.multivariate_normal(self.offsets_mm[row], self.covariances_mm2[row]))
+
     def limit_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
         """Return the radius in mm that contains the error with this probability."""
         return mixture_limit_mm(self.weights, self.offsets_mm, self.covariances_mm2, confidence)

@@ -18,6 +18,7 @@ from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.surface.errors import BAD_SURFACE_INPUT, LITTLE_COVERAGE
 from procedures.registration.surface.misfit import UNMODELLED, Misfit, MisfitModel, Roughness
 from procedures.registration.surface.prediction import SurfacePrediction
+from procedures.registration.surface.surface import LEVEL_SD_MM
 from procedures.registration.surface.thinning import thin_points
 from ronna_hw.arrays import Array
 
@@ -140,7 +141,8 @@ class ExpectedPose:
             raise LITTLE_COVERAGE(f"{len(points)} points of the surface", limit=f"{FEWEST_POINTS}")
         centre, misfits = points.mean(axis=0), misfits or USUAL
         shared = np.zeros((len(points), 0)) if shared_mm is None else shared_mm
-        model = MisfitModel.of(points, normals, np.full(len(points), noise_mm**2), shared, tuple(misfits))
+        noise_mm2, level_mm = np.full(len(points), noise_mm**2), np.full((len(points), 1), LEVEL_SD_MM)
+        model = MisfitModel.of(points, normals, noise_mm2, shared, level_mm, tuple(misfits))
         jacobian = np.hstack([np.cross(points - centre, normals), normals])
         weights = np.array(list(misfits.values()))
         covariances = UNMODELLED**2 * model.adjust(jacobian, np.zeros(len(points))).covariances

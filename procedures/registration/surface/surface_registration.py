@@ -57,7 +57,7 @@ from procedures.registration.surface.spheres import (
     require_unmoved,
 )
 from procedures.registration.surface.starts import Start, pose_of
-from procedures.registration.surface.surface import Surface
+from procedures.registration.surface.surface import Surface, level_errors_mm
 from procedures.registration.surface.thinning import merge_neighbours, thin_points
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
@@ -329,12 +329,13 @@ class _Adjusted:
         points, places, towards = merged.points_mm[used], found.places_mm[used], directions[used]
         centre, along = places.mean(axis=0), columns.along(directions)[used]
         jacobian = found.jacobian(centre)[used]
-        model = MisfitModel.of(points, towards, noise, along)
+        level = level_errors_mm(found.normals[used], surface.voxel_mm)
+        model = MisfitModel.of(points, towards, noise, along, level)
         require_still(model, jacobian, found.distances_mm[used], merged.look[used])  # by the scan alone
         if len(spheres.numbers):
             along = np.vstack([along, columns.of_spheres()])
             jacobian = np.vstack([jacobian, spheres.jacobian(found.pose, centre)])
-            model = MisfitModel.of(points, towards, noise, along, known_mm2=spheres.covariance_mm2)
+            model = MisfitModel.of(points, towards, noise, along, level, known_mm2=spheres.covariance_mm2)
         listed = list_regions(places, found.normals[used], axes)
         residuals = np.append(found.distances_mm[used], spheres.residuals_mm(found.pose))
         regions = likely_regions(model, jacobian, residuals, listed)

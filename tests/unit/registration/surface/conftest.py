@@ -39,6 +39,8 @@ def blend(one: Array, other: Array, width_mm: float) -> Array:
 class MadeHead:
     """Head in patient coordinates: x to the left, y to the back, z up. `side_mm` adds a bump."""
 
+    voxel_mm = np.eye(3)
+
     def __init__(self, seed: int = 0, *, side_mm: float = 0.0, ball: bool = False) -> None:
         draw = np.random.default_rng(seed).uniform
         self.axes = (draw(70, 80), draw(90, 100), draw(72, 82))

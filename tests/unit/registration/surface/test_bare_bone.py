@@ -18,6 +18,7 @@ class Skull:
     def __init__(self, head) -> None:
         self.head = head
         self.points_mm, self.normals = head.points_mm - SCALP_MM * head.normals, head.normals
+        self.voxel_mm = head.voxel_mm
 
     def residuals(self, points_ct_mm):
         distances, normals, valid = self.head.residuals(points_ct_mm)

@@ -39,6 +39,7 @@ class Mirrored:
     """A head with left and right exchanged, as a CT of a wrong export shows it."""
 
     FLIP = np.array([-1.0, 1.0, 1.0])
+    voxel_mm = np.eye(3)
 
     def __init__(self, head) -> None:
         self.head, self.points_mm, self.normals = head, head.points_mm * self.FLIP, head.normals * self.FLIP
@@ -88,7 +89,7 @@ def test_a_place_without_a_surface_does_not_make_a_ct_mirrored(heads, scan_of):
     class Folded:
         """Head whose left ear is no surface in the CT."""
 
-        points_mm, normals = heads[0].points_mm, heads[0].normals
+        points_mm, normals, voxel_mm = heads[0].points_mm, heads[0].normals, heads[0].voxel_mm
 
         def residuals(self, points_ct_mm):
             distances, normals, valid = heads[0].residuals(points_ct_mm)
