@@ -60,10 +60,17 @@ class Skin(StrEnum):
     BLUR = "thick slices"
     TUBE = "tube at the mouth"
     BEARD = "grown beard"
+    WHEALS = "wheals of local anaesthetic"
+    STEROIDS = "face under steroids"
+    FLUID = "fluid under the scalp"
+    FILM = "adhesive film"
+    STREAKS = "streaks of metal"
+    EARS = "bent ears"
 
 
-JUDGED = (Skin.PADS, Skin.HYDRATION, Skin.SLIDE, Skin.BLUR, Skin.TUBE, Skin.BEARD)
-# These judged once and were looked at afterwards (decision 33).
+JUDGED = (Skin.WHEALS, Skin.STEROIDS, Skin.FLUID, Skin.FILM, Skin.STREAKS, Skin.EARS)
+# These judged once each and were looked at afterwards (decision 33).
+SECOND_JUDGED = (Skin.PADS, Skin.HYDRATION, Skin.SLIDE, Skin.BLUR, Skin.TUBE, Skin.BEARD)
 FIRST_JUDGED = (Skin.SAG, Skin.OEDEMA, Skin.SLICES, Skin.SCALE, Skin.BAND, Skin.FOLDS)
 DEVELOPMENT = tuple(skin for skin in Skin if skin not in JUDGED)  # shown, but not judged
 

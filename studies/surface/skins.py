@@ -13,6 +13,7 @@ from sim.world.head_surface.skin_shift import ShiftedHead, SkinShift
 from sim.world.head_surface.smooth_field import SmoothField
 from studies.surface.conditions import SHIFT_EDGE_MM, SHIFT_MM, SHIFTED_SHARE, Draw, Skin
 from studies.surface.first_judged_skins import FIRST_JUDGED_KINDS, displace_beside
+from studies.surface.judged_skins import JUDGED_KINDS
 from studies.surface.second_judged_skins import SECOND_JUDGED_KINDS
 
 ORDERS = {Skin.ROUGH: 0.5, Skin.SMOOTH: 2.5, Skin.SMOOTHEST: float("inf")}
@@ -111,7 +112,7 @@ _KINDS: Mapping[Skin, Displacement] = {
     Skin.PILLOW: _pillow,
     **{
         skin: partial(displace_beside, kind)
-        for skin, kind in {**FIRST_JUDGED_KINDS, **SECOND_JUDGED_KINDS}.items()
+        for skin, kind in {**FIRST_JUDGED_KINDS, **SECOND_JUDGED_KINDS, **JUDGED_KINDS}.items()
     },
 }
 

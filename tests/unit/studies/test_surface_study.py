@@ -18,6 +18,7 @@ from studies.surface.conditions import (
     DEVELOPMENT,
     FIRST_JUDGED,
     JUDGED,
+    SECOND_JUDGED,
     SHIFTED,
     SIZE_MM,
     Coverage,
@@ -29,6 +30,7 @@ from studies.surface.heads import draw_head
 from studies.surface.kinds import Kinds
 from studies.surface.outcomes import Outcome, read_outcomes, share_within
 from studies.surface.scanning import Trial, draw_trial
+from studies.surface.second_judged_skins import BLUR_RATIOS, draw_blur
 from studies.surface.skins import displace, shift_third
 from studies.surface.study import SurfaceStudy, draw_unit
 
@@ -94,7 +96,14 @@ SHIFTED_BY: dict[Skin, tuple[float, float]] = {  # rms over the front and the ea
     Skin.BLUR: (0.4, 0.65),
     Skin.TUBE: (0.4, 0.65),
     Skin.BEARD: (0.4, 0.75),
+    Skin.WHEALS: (0.4, 0.65),
+    Skin.STEROIDS: (0.4, 0.65),
+    Skin.FLUID: (0.4, 0.65),
+    Skin.FILM: (0.4, 0.65),
+    Skin.STREAKS: (0.4, 0.7),
+    Skin.EARS: (0.4, 0.65),
 }
+UNEVEN = (Skin.BEARD, Skin.STREAKS)  # of hair, and of streaks a few degrees wide
 
 
 @functools.cache
@@ -115,10 +124,10 @@ def test_a_skin_that_judges_or_judged_has_its_stated_size_over_the_front_of_the_
 
 
 @pytest.mark.parametrize("skin", SHIFTED_BY)
-def test_a_skin_but_a_beard_is_smooth_and_all_differ_by_the_seed(skin: Skin) -> None:
+def test_a_skin_but_a_beard_and_streaks_is_smooth_and_all_differ_by_the_seed(skin: Skin) -> None:
     front, beside = np.split(displaced(skin), 2, axis=1)
     is_smooth = np.sqrt(np.mean((front - beside) ** 2)) < 0.15 * np.sqrt(np.mean(front**2))
-    assert is_smooth == (skin is not Skin.BEARD)
+    assert is_smooth == (skin not in UNEVEN)
     assert np.abs(np.diff(front, axis=0)).max(axis=1).min() > 1e-3
 
 
@@ -154,6 +163,51 @@ def test_thick_slices_shift_the_vertex_and_hydration_the_cheeks_most() -> None:
     assert np.std(move(Skin.HYDRATION, cheeks)) > 2.0 * np.std(move(Skin.HYDRATION, vault))
 
 
+def test_thick_slices_shift_the_skin_by_its_slope_against_the_drawn_slices() -> None:
+    points, size_mm = skin_of(Region.VAULT), 10.0
+    random = np.random.default_rng(0)
+    random.integers(2**31)  # seed of the weak field
+    blur = draw_blur(random)
+    assert BLUR_RATIOS[0] < blur.ratio < BLUR_RATIOS[1]
+    slope = (draw_head(SEED, 0).head.normals(points) @ blur.across) ** 2
+    width = np.sqrt(1.0 + (blur.ratio**2 - 1.0) * slope) - 1.0
+    moved = displace(
+        Skin.BLUR, draw_head(SEED, 0).head, points, replace(DRAW, size_mm=size_mm), np.random.default_rng(0)
+    )
+    assert np.corrcoef(width, moved)[0, 1] ** 2 > 0.99
+
+
+def test_wheals_and_film_lift_the_skin_only_and_reach_the_vault() -> None:
+    for skin in (Skin.WHEALS, Skin.FILM):
+        vault = move(skin, skin_of(Region.VAULT))
+        assert vault.min() > -0.3  # of the weak field
+        assert np.std(vault) > 2.0 * np.std(move(skin, skin_of(Region.JAW)))
+
+
+def test_steroids_round_or_thin_the_cheeks_and_thin_the_temples_and_hardly_touch_the_vault() -> None:
+    head = draw_head(SEED, 0)
+    marks = head.head.landmarks
+    beside = np.linalg.norm(head.skin_mm[:, 1:] - [marks.ear[1] - 45.0, marks.sellion_mm + 15.0], axis=1)
+    temples, cheeks = move(Skin.STEROIDS, head.skin_mm[beside < 10.0]), skin_of(Region.CHEEK)
+    assert temples.mean(axis=1).max() < 1.0 < -temples.min()
+    assert move(Skin.STEROIDS, cheeks).mean() > 0.5
+    assert np.std(move(Skin.STEROIDS, cheeks)) > 3.0 * np.std(move(Skin.STEROIDS, skin_of(Region.VAULT)))
+
+
+def test_fluid_under_the_scalp_leaves_the_face_alone_and_bent_ears_all_else() -> None:
+    vault, cheeks, ears = (skin_of(region) for region in (Region.VAULT, Region.CHEEK, Region.EAR))
+    assert np.std(move(Skin.FLUID, vault)) > 10.0 * np.std(move(Skin.FLUID, cheeks))
+    for still in (vault, cheeks):
+        assert np.std(move(Skin.EARS, ears)) > 10.0 * np.std(move(Skin.EARS, still))
+
+
+def test_streaks_cross_the_jaw_most_and_in_some_heads_the_vault() -> None:
+    jaw, vault = (move(Skin.STREAKS, skin_of(region)) for region in (Region.JAW, Region.VAULT))
+    assert np.std(jaw) > 2.0 * np.std(vault)
+    is_crossed = np.abs(vault).max(axis=1) > 2.0
+    assert 0.1 < is_crossed.mean() < 0.9
+
+
 def test_a_ct_of_wrong_scale_moves_the_skin_by_less_than_half_a_percent_of_its_distance() -> None:
     head = draw_head(SEED, 0)
     points = head.skin_mm[::40]
@@ -166,7 +220,7 @@ def test_a_developer_runs_the_study_without_the_judged_skins_and_the_default_has
     def skins(kinds: Kinds) -> list[str]:
         return [one.condition.partition("|")[2] for one in SurfaceStudy(1, shifts=0, kinds=kinds).units()]
 
-    assert set(skins(Kinds.DEVELOPMENT)) == set(DEVELOPMENT) > set(FIRST_JUDGED)
+    assert set(skins(Kinds.DEVELOPMENT)) == set(DEVELOPMENT) > {*FIRST_JUDGED, *SECOND_JUDGED}
     assert set(skins(Kinds.JUDGED)) == set(JUDGED)
     assert len(skins(Kinds.JUDGED)) == 30  # six kinds, five coverages: 10,020 judged with 334 heads
     assert sorted(skins(Kinds.ALL)) == sorted([*skins(Kinds.JUDGED), *2 * (Skin.RIGID, Skin.ROUGH)])
@@ -178,8 +232,8 @@ def test_tables_of_a_study_with_judged_skins_are_of_these_alone() -> None:
         sums = {f"{Coverage.ALL}|{skin}": one for skin in skins}
         return tables.tables(sums)[0].note
 
-    assert goals(Skin.PADS, Skin.BAND, Skin.TAPE).startswith("1 judged registrations")
-    assert goals(Skin.BAND, Skin.TAPE).startswith("2 development registrations")
+    assert goals(Skin.WHEALS, Skin.PADS, Skin.BAND).startswith("1 judged registrations")
+    assert goals(Skin.PADS, Skin.BAND, Skin.TAPE).startswith("3 development registrations")
 
 
 def test_a_third_of_the_skin_is_shifted_by_one_millimetre() -> None:
