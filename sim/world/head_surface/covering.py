@@ -1,6 +1,6 @@
 """Ellipsoids around a head with a face, as a planner takes it for an obstacle.
 
-One is around the cranium, down to where it is widest, and one around what is below it as far as a CT shows it.
+One is around the cranium, down to where it is widest, and one around what is below it, as far as a CT shows.
 Both are the smallest along the axes, so over forehead and temples they reach up to a centimetre outside.
 NumPy alone: drawing a scene must not load SciPy.
 """
@@ -76,7 +76,7 @@ def _sample_ring(head: ParametricHead, height_mm: float) -> Vectors:
 
 
 def _meet(head: ParametricHead, height_mm: float, rays: Vectors) -> Vectors:
-    """Return where rays to the left, from a height on the middle axis, leave the head, and the mirror image."""
+    """Return where rays to the left leave the head, from a height on its middle axis, and their mirror image."""
     middle = np.array([0.0, 0.0, height_mm])
     starts = middle + head.centre_ct_mm + OUTSIDE_MM * rays
     away_mm = OUTSIDE_MM - march(head.distance_mm, starts, -rays, OUTSIDE_MM)

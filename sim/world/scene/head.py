@@ -81,7 +81,8 @@ Skin = Callable[[Vector], tuple[Vector, Vector]]  # point and normal from the ce
 class DrawnHead:
     """A head, and how many trajectories were drawn and passed over because the arm could not take them.
 
-    Over a face that also means: not without the guide coming too close to the head. Those too close to a sphere or to the frame are not counted: no surgeon would plan them.
+    Over a face that includes those on which the guide would come too close to the head. Those too close to a
+    sphere or to the frame are not counted: no surgeon would plan them.
     """
 
     head: Head

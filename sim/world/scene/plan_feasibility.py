@@ -34,7 +34,7 @@ BESIDE_MM = 4.0  # clearance around each sphere, a millimetre more than the plan
 class PlanFeasibility:
     """Checks whether trajectories are feasible for an arm that must also measure the spheres (n, 3).
 
-    `clearance` is that of the guide over a head with a face; over an ellipsoid with spheres it always suffices.
+    `clearance` is that of the guide over a head with a face. Without one it is not checked.
     """
 
     def __init__(self, spheres_mm: Vector, variant: str, clearance: GuideClearance | None = None) -> None:
@@ -48,6 +48,7 @@ class PlanFeasibility:
         self._spheres_mm, self._clearance = spheres_mm, clearance
         self._tool_from_flange = inverse(matrix_from(TOOL_IN_FLANGE_MM, np.eye(3)))
         self._known: dict[tuple[int, bytes], bool] = {}
+        self._clear: dict[bytes, bool] = {}
 
     def is_feasible(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
         """Return whether one posture reaches all trajectories, given as entry (3,) and target (3,)."""
@@ -71,17 +72,22 @@ class PlanFeasibility:
             )
             self._known[key] = any(
                 self._is_each_sphere_visible(orientation)
+                and self._is_guide_clear(orientation, held_mm)
                 and all(
                     self._is_within_ranges(matrix_from(tip, orientation) @ self._tool_from_flange, posture)
                     for tip in tips
                 )
-                and self._is_guide_clear(orientation, held_mm)
                 for orientation in _list_orientations(axis, target_mm)
             )
         return self._known[key]
 
     def _is_guide_clear(self, orientation: Vector, held_mm: Vector) -> bool:
-        return self._clearance is None or self._clearance.is_clear(orientation, held_mm, APPROACH_MM)
+        if self._clearance is None:
+            return True
+        key = orientation.tobytes() + held_mm.tobytes()
+        if key not in self._clear:  # asked again in every posture
+            self._clear[key] = self._clearance.is_clear(orientation, held_mm, APPROACH_MM)
+        return self._clear[key]
 
     def _is_each_sphere_visible(self, orientation: Vector) -> bool:
         """Return whether both cameras, aimed at each sphere in turn, see it clear of the other spheres."""
