@@ -76,7 +76,7 @@ def _sample_ring(head: ParametricHead, height_mm: float) -> Vectors:
 
 
 def _meet(head: ParametricHead, height_mm: float, rays: Vectors) -> Vectors:
-    """Return where rays to the left leave the head, from a height on its middle axis, and their mirror image."""
+    """Return where rays to the left leave the head from a height on its middle axis, and the mirror image."""
     middle = np.array([0.0, 0.0, height_mm])
     starts = middle + head.centre_ct_mm + OUTSIDE_MM * rays
     away_mm = OUTSIDE_MM - march(head.distance_mm, starts, -rays, OUTSIDE_MM)

@@ -17,7 +17,7 @@ from sim.world.head_surface.parametric_head import ParametricHead
 from sim.world.rigid import Matrix, Vector, Vectors, as_point
 
 RESERVE_MM = 1.0  # beyond the planner's clearance: its ellipsoids are of a CT, and differ by as much
-PLACES = 5  # along the line: between them the distance from a convex body hardly bends
+PLACES = 3  # along the line: both ends, and halfway for what it passes by
 AS_MOUNTED = Pose((0.0, 0.0, 0.0))  # bodies of the guide stay in the tool frame
 
 
