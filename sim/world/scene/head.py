@@ -81,7 +81,8 @@ Skin = Callable[[Vector], tuple[Vector, Vector]]  # point and normal from the ce
 class DrawnHead:
     """A head, and how many trajectories were drawn and passed over because the arm could not take them.
 
-    Those too close to a sphere or to the frame are not counted: no surgeon would plan them.
+    Over a face that includes those on which the guide would come too close to the head. Those too close to a
+    sphere or to the frame are not counted: no surgeon would plan them.
     """
 
     head: Head
@@ -121,7 +122,8 @@ def draw_head(
             _implant_fiducials(generator, template) if template else _draw_fiducials(generator, markers, skin)
         )
     pose = _draw_pose(generator, arm.head_mm)
-    drawn, passed_over = _draw_targets(generator, targets, fiducials, pose, frame, arm.variant, skin)
+    feasibility = _feasibility_of(fiducials, pose, arm.variant, measures)
+    drawn, passed_over = _draw_targets(generator, targets, fiducials, pose, frame, feasibility, skin)
     head = Head(
         robot_from_ct=pose_of(pose),
         centre_ct_mm=CENTRE_CT_MM,
@@ -202,6 +204,8 @@ def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate)
 
 
 def _is_well_spread(centres: Vector) -> bool:
+    if not np.isfinite(centres).all():  # a ray that did not meet the skin
+        return False
     if len(centres) < 2:
         return True
     rows, columns = np.triu_indices(len(centres), 1)
@@ -215,19 +219,35 @@ def _is_well_spread(centres: Vector) -> bool:
     return True
 
 
+def _centres_of(fiducials: tuple[Fiducial, ...]) -> Vector:
+    return np.array([fiducial.centre_ct_mm for fiducial in fiducials]).reshape(-1, 3)
+
+
+def _feasibility_of(
+    fiducials: tuple[Fiducial, ...], robot_from_ct: Vector, variant: str, measures: Measures | None
+) -> PlanFeasibility:
+    spheres_mm = apply(robot_from_ct, _centres_of(fiducials))
+    if measures is None:
+        return PlanFeasibility(spheres_mm, variant)
+    # Only now: the bodies of a theatre file take longer to load than a head with spheres to draw.
+    from sim.world.scene.guide_clearance import GuideClearance
+
+    head = ParametricHead(CENTRE_CT_MM, measures.semi_axes_mm, measures.face)
+    return PlanFeasibility(spheres_mm, variant, GuideClearance(head, robot_from_ct, spheres_mm))
+
+
 def _draw_targets(
     generator: np.random.Generator,
     count: int,
     fiducials: tuple[Fiducial, ...],
     robot_from_ct: Vector,
     frame: FrameOnHead | None,
-    variant: str,
+    feasibility: PlanFeasibility,
     skin: Skin,
 ) -> tuple[tuple[Target, ...], int]:
     """Draw trajectories between the spheres, all within reach of the arm in one posture, and count others."""
     axis = np.array(CAP_AXIS_CT)
-    spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials]).reshape(-1, 3)
-    feasibility = PlanFeasibility(apply(robot_from_ct, spheres), variant)
+    spheres = _centres_of(fiducials)
     targets: list[Target] = []
     drawn: list[tuple[Vector, Vector]] = []  # entries and targets in the robot frame
     passed_over = 0

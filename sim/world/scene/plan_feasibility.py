@@ -3,13 +3,15 @@
 A trajectory is feasible if, at some turn about its axis, the arm reaches all poses in one posture, each from
 a point above. The poses: the tool at every sphere in the orientation of the trajectory, the guide before the
 entry, and the stereo head at the target, for a phantom with a ball there. At that turn no sphere may be in
-front of or behind another one in either camera. Robot frame, mm.
+front of or behind another one in either camera, and over a head with a face the guide must be clear on its
+line. Robot frame, mm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from math import pi, radians
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +19,9 @@ from sim.world.descriptions import DESCRIPTIONS
 from sim.world.rigid import Vector, inverse, matrix_from
 from sim.world.scene.as_built import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
 from sim.world.scene.parts import Guide
+
+if TYPE_CHECKING:
+    from sim.world.scene.guide_clearance import GuideClearance
 
 APPROACH_MM = 60.0  # distance of the tool outside sphere or skin
 STANDOFF_MM = 30.0  # distance of the guide from the entry, in the plan of a phantom
@@ -27,9 +32,12 @@ BESIDE_MM = 4.0  # clearance around each sphere, a millimetre more than the plan
 
 
 class PlanFeasibility:
-    """Checks whether trajectories are feasible for an arm that must also measure the spheres (n, 3)."""
+    """Checks whether trajectories are feasible for an arm that must also measure the spheres (n, 3).
 
-    def __init__(self, spheres_mm: Vector, variant: str) -> None:
+    `clearance` is that of the guide over a head with a face. Without one it is not checked.
+    """
+
+    def __init__(self, spheres_mm: Vector, variant: str, clearance: GuideClearance | None = None) -> None:
         self._arm = DESCRIPTIONS[variant]
         # Joints that turn more than a full circle reach every angle.
         self._limited = [
@@ -37,9 +45,10 @@ class PlanFeasibility:
             for number, joint in enumerate(self._arm.joints)
             if radians(joint.upper_deg - joint.lower_deg) < 2.0 * (pi + MARGIN_RAD)
         ]
-        self._spheres_mm = spheres_mm
+        self._spheres_mm, self._clearance = spheres_mm, clearance
         self._tool_from_flange = inverse(matrix_from(TOOL_IN_FLANGE_MM, np.eye(3)))
         self._known: dict[tuple[int, bytes], bool] = {}
+        self._clear: dict[bytes, bool] = {}
 
     def is_feasible(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
         """Return whether one posture reaches all trajectories, given as entry (3,) and target (3,)."""
@@ -56,12 +65,14 @@ class PlanFeasibility:
             axis = to_target_mm / depth_mm
             places = [(point, APPROACH_MM) for point in self._spheres_mm]
             places.append((target_mm, depth_mm + APPROACH_MM))
-            places.append((entry_mm + (Guide().reach_mm - STANDOFF_MM) * axis, APPROACH_MM))
+            held_mm = entry_mm + (Guide().reach_mm - STANDOFF_MM) * axis
+            places.append((held_mm, APPROACH_MM))
             tips = np.array(
                 [tip for place, retreat_mm in places for tip in (place, place - retreat_mm * axis)]
             )
             self._known[key] = any(
                 self._is_each_sphere_visible(orientation)
+                and self._is_guide_clear(orientation, held_mm)
                 and all(
                     self._is_within_ranges(matrix_from(tip, orientation) @ self._tool_from_flange, posture)
                     for tip in tips
@@ -69,6 +80,14 @@ class PlanFeasibility:
                 for orientation in _list_orientations(axis, target_mm)
             )
         return self._known[key]
+
+    def _is_guide_clear(self, orientation: Vector, held_mm: Vector) -> bool:
+        if self._clearance is None:
+            return True
+        key = orientation.tobytes() + held_mm.tobytes()
+        if key not in self._clear:  # asked again in every posture
+            self._clear[key] = self._clearance.is_clear(orientation, held_mm, APPROACH_MM)
+        return self._clear[key]
 
     def _is_each_sphere_visible(self, orientation: Vector) -> bool:
         """Return whether both cameras, aimed at each sphere in turn, see it clear of the other spheres."""
