@@ -70,7 +70,7 @@ def strategy_of(case: CaseProcedure, plan: Plan | None) -> Strategy:
     return SkinLooks() if without_spheres else find_strategy(case.strategy)
 
 
-def _require_one_change(case: CaseProcedure, plan: Plan) -> None:
+def require_one_change(case: CaseProcedure, plan: Plan) -> None:
     """Raise CLI-001 for a case on the skin with an assistant, or with a scan during the operation.
 
     The same holds for a start by the scan of a head with spheres.
@@ -153,7 +153,7 @@ def prepare_case(
         locked = held.enter_context(lock_plan(file))
         plan = parse_plan_bytes(locked.content, file.name)
         require_spheres(plan)
-        _require_one_change(case, plan)
+        require_one_change(case, plan)
     except RonnaError as problem:
         if resumption is None or resumption.interrupted.untouched:
             raise

@@ -29,7 +29,8 @@ from procedures.registration.surface.errors import NO_STATIONS
 from procedures.registration.surface.global_search import difference
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
-from procedures.registration.surface.starts import pose_of
+from procedures.registration.surface.starts import Start, pose_of
+from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.surface_registration import SurfaceRegistration, register_surface
 from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical.coarse_match import room_prior
@@ -93,7 +94,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
     room = context.result(GlobalLocalization)
     prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
-    found = find_head(join_lines(lines), context, measured, targets_mm, prior)
+    found = find_head(join_lines(lines), skin_of(context), measured.start, targets_mm, prior)
     pose, axes = found.robot_from_ct, HeadAxes.of(skin_of(context))
     turn_rad, place_mm = difference(
         pose_of(pose), pose_of(measured.robot_from_ct.transform), np.asarray(pose.apply(axes.centre_mm))
@@ -198,13 +199,12 @@ def _as_look(number: int, reached: Reached) -> LocalizationPose:
 
 
 def find_head(
-    scan: SurfaceScan, context: StepContext, measured: MeasuredHead, targets_mm: Array, prior: RoomPrior
+    scan: SurfaceScan, skin: Surface, measured: Start, targets_mm: Array, prior: RoomPrior
 ) -> SurfaceRegistration:
-    """Register first looks by themselves. Raises SRF-002 to SRF-010, and REG-013 as the plan excludes it."""
-    skin = skin_of(context)
+    """Register first looks by themselves. Raises SRF-002 to SRF-010, and REG-013 if the plan excludes it."""
     limits = SurfaceLimits(largest_error_mm=LARGEST_ERROR_MM)
     found = register_surface(scan, skin, targets_ct_mm=targets_mm, limits=limits)
-    require_start(pose_of(found.robot_from_ct), measured.start, HeadAxes.of(skin))
+    require_start(pose_of(found.robot_from_ct), measured, HeadAxes.of(skin))
     middle_mm = np.asarray(found.robot_from_ct.apply(prior.sight.centre_mm))
     if objection := prior.check_position(found.robot_from_ct.rotation_matrix, middle_mm):
         raise HeadElsewhere(f"by the first looks {objection}")

@@ -11,8 +11,9 @@ import pytest
 from coded_errors import raises
 from prepared_results import localized_fiducials, plan
 
+from procedures.engine.case import stand_ins
 from procedures.engine.context import StepContext
-from procedures.engine.methods import CaseMethods
+from procedures.engine.methods import CaseMethods, HeadStart
 from procedures.imaging.head_landmarks import find_landmark
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.head_in_ct import HeadEllipsoid
@@ -28,10 +29,10 @@ from procedures.registration.surface.errors import (
 from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface import Surface
 from procedures.relocalization.errors import NoLine, PairNotUsable
-from procedures.runs.case import strategy_of
+from procedures.runs.case import require_one_change, strategy_of
 from procedures.runs.request import CaseProcedure
 from procedures.steps.catalogue import clinical_steps
-from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.correspondence import Correspondence, MeasuredHead
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.results import (
     RegisteredRobot,
@@ -43,6 +44,7 @@ from procedures.steps.clinical.surface import skin_in_ct, surface_paths, surface
 from procedures.steps.clinical.surface.surface_start import require_fit
 from procedures.workcell import line_look
 from ronna_hw.arrays import Array
+from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError
 from ronna_hw.roles import TWO_ARMS
 
@@ -74,6 +76,25 @@ def test_later_steps_read_the_skin_where_they_read_spheres(fiducials: FiducialKi
         "surface_scan",
         "surface_registration",
     }
+
+
+def test_a_start_by_the_scan_measures_the_head_and_looks_before_later_steps_read_its_pose() -> None:
+    steps = clinical_steps(fiducials=FiducialKind.SURFACE, start=HeadStart.SCAN)
+    names = [step.name for step in steps]
+    first = names.index("head_measurement")
+    assert names[first : first + 3] == ["head_measurement", "surface_start", "path_check"]
+    survey, *later = steps[first + 1 :]
+    assert survey.moves
+    assert MeasuredHead in survey.reads
+    assert not any(MeasuredHead in step.reads for step in later)
+    assert list(stand_ins(Correspondence)) == ["correspondence", "surface_start", "head_measurement"]
+
+
+def test_a_start_by_the_scan_is_for_the_skin_alone() -> None:
+    case = CaseProcedure(methods=CaseMethods(start=HeadStart.SCAN))
+    require_one_change(case, plan().model_copy(update={"fiducials": FiducialKind.SURFACE}))
+    with pytest.raises(UsageMistake, match="--start scan is for the skin alone"):
+        require_one_change(case, plan())
 
 
 def test_without_spheres_no_strategy_looks_at_them_and_with_some_the_chosen_one_does() -> None:
