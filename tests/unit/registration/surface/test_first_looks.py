@@ -20,7 +20,7 @@ from ronna_hw.frames import Transform
 TARGETS_MM = np.array([[-20.0, -20.0, -20.0], [0.0, 40.0, 0.0]])
 LANDMARKS_MM = np.array([[0.0, -115.0, -48.0], [88.0, 12.0, -42.0], [-88.0, 12.0, -42.0]])
 TAPE_MM = np.array([[12.0, -9.0, 14.0], [-11.0, 8.0, 10.0], [6.0, 14.0, -12.0]])  # a slip for each landmark
-PATCH_MM = 13.0  # of the skin around the middle of a look
+PATCH_MM = 15.0  # of the skin around the middle of a look
 
 
 def allow(objection=""):
