@@ -41,7 +41,8 @@ from procedures.steps.clinical.results import (
     ScannedSurface,
 )
 from procedures.steps.clinical.surface import skin_in_ct, surface_paths, surface_scan
-from procedures.steps.clinical.surface.surface_start import require_fit
+from procedures.steps.clinical.surface.head_measurement import BY_TAPE
+from procedures.steps.clinical.surface.surface_start import BY_POINTER, LandmarkReading, require_fit
 from procedures.workcell import line_look
 from ronna_hw.arrays import Array
 from ronna_hw.command_line.errors import UsageMistake
@@ -235,7 +236,7 @@ TOUCHED_MM = IN_CT_MM + np.array([900.0, 0.0, 200.0])
 NOSE_BESIDE_MM = np.array([[28.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
-def place(touched_mm: Array) -> Array:
+def place(touched_mm: Array, reading: LandmarkReading = BY_POINTER) -> Array:
     """Fit a head whose vertex must be up; return how far the landmarks are from their fit."""
     prior = SimpleNamespace(
         sight=SimpleNamespace(centre_mm=np.zeros(3)),
@@ -244,12 +245,21 @@ def place(touched_mm: Array) -> Array:
         ),
     )
     pose = Start.from_landmarks(IN_CT_MM, touched_mm).robot_from_ct
-    return require_fit(IN_CT_MM, touched_mm, pose, cast(Any, prior))
+    return require_fit(IN_CT_MM, touched_mm, pose, cast(Any, prior), deviation_mm=reading.deviation_mm)
 
 
 def test_landmarks_touched_as_well_as_skin_permits_place_the_head() -> None:
     slips_mm = np.array([[3.0, -2.0, 2.0], [-3.0, 2.0, 1.0], [2.0, 3.0, -2.0]])
     assert place(TOUCHED_MM + slips_mm).max() < 4.0
+
+
+def test_a_tape_may_err_by_centimetres_and_a_pointer_may_not() -> None:
+    slips_mm = np.array([[15.0, -20.0, 10.0], [-15.0, 10.0, 12.0], [10.0, 20.0, -15.0]])
+    assert place(TOUCHED_MM + slips_mm, BY_TAPE).max() < 25.0
+    with pytest.raises(RonnaError, match="PRO-007"):
+        place(TOUCHED_MM + slips_mm)
+    with pytest.raises(RonnaError, match="PRO-007"):
+        place(TOUCHED_MM + 3.0 * NOSE_BESIDE_MM, BY_TAPE)
 
 
 @pytest.mark.parametrize(
