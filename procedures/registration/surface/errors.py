@@ -75,7 +75,8 @@ FAR_FROM_START = ErrorCode(
     "SRF-009",
     RefusedError,
     "The registration ended further from its start than the start's error explains.",
-    "Check the tracker's frame, then touch or measure nose and ears again; if that does not help, scan again.",
+    "Check the tracker's frame, then touch or measure nose and ears again; if that does not help, scan "
+    "again.",
 )
 
 

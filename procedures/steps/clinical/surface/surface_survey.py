@@ -71,7 +71,8 @@ WHOLE_PX = (2048, 1088)  # both whole sensors: skin up to 45 mm nearer or farthe
 # Safety against a head that is nearer than it was measured. Source: twice what a tape errs (U).
 ROUGH_MM = 30.0
 # Predicted error at a target, with 95 %: the scan that follows is taken from there.
-# Safety against first looks that leave the head undetermined. Source: a quarter of how far skin may be off for a look of the scan to show it (U).
+# Safety against first looks that leave the head undetermined. Source: a quarter of how far skin may be off
+# for a look of the scan to show it (U).
 LARGEST_ERROR_MM = 5.0
 # Share of the head's surface above the jaw: less than of a scan, since the error above decides.
 # Safety against a pose from two or three looks. Source: five looks of a whole case showed 0.05.

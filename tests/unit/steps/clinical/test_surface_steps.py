@@ -255,7 +255,7 @@ def test_landmarks_touched_as_well_as_skin_permits_place_the_head() -> None:
 
 def test_a_tape_may_err_by_centimetres_and_a_pointer_may_not() -> None:
     slips_mm = np.array([[15.0, -20.0, 10.0], [-15.0, 10.0, 12.0], [10.0, 20.0, -15.0]])
-    assert place(TOUCHED_MM + slips_mm, BY_TAPE).max() < 25.0
+    assert place(TOUCHED_MM + slips_mm, BY_TAPE).max() < 30.0
     with pytest.raises(RonnaError, match="PRO-007"):
         place(TOUCHED_MM + slips_mm)
     with pytest.raises(RonnaError, match="PRO-007"):
