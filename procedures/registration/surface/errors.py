@@ -42,7 +42,8 @@ OTHER_HEAD = ErrorCode(
     "SRF-005",
     RefusedError,
     "The scanned surface does not have the shape of the head in the CT.",
-    "Check that this is the CT of the patient on the table; clear the skin of drapes, and scan again.",
+    "Check that this is the CT of the patient on the table; clear the skin of hands and drapes, and scan "
+    "again.",
 )
 
 
