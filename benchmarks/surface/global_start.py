@@ -1,11 +1,11 @@
 """Registration that starts from the scan alone: how many heads are found, how far off, how long it takes.
 
-    python -m benchmarks.surface.global_start --out benchmarks/results/surface-global-2026-11-30/heads.json
+    python -m benchmarks.surface.global_start --out heads.json
 
-Heads, misfit of the skin and poses in the room are drawn by the seed, over all turns alike. The kinds of misfit
-are those of development in turn: the judged ones are not touched. Each head is scanned from the front, with
-the ears, and from all sides. A registration whose head is further than `FOUND_MM` from the truth anywhere is
-a wrong pose.
+Heads, misfit of the skin and poses in the room are drawn by the seed, over all turns alike. The kinds of
+misfit are those of development in turn: the judged ones are not touched. Each head is scanned from the
+front, with the ears, and from all sides. A registration whose head is further than `FOUND_MM` from the
+truth anywhere is a wrong pose.
 """
 
 from __future__ import annotations

@@ -13,8 +13,7 @@ import pytest
 from pydicom.dataelem import RawDataElement
 from pydicom.tag import Tag
 from run_folders import records_of
-from simulated_case import SimulatedCase
-from waiting import HANG_LIMIT_S
+from simulated_case import LIMIT_S, SimulatedCase
 
 from procedures.journal.journal import Line
 from ronna_hw.errors import EXIT_DONE
@@ -135,7 +134,7 @@ def go_on(case: SimulatedCase, orders: str) -> tuple[int, str, str]:
     """Resume the case and give it orders; return how it ended, and what it said."""
     line = ("ronna-procedure", "resume", str(case.run_folder), "--accept")
     resumed = case.commands.start(*line, stdin=subprocess.PIPE)
-    said, errors = resumed.communicate(orders, timeout=HANG_LIMIT_S)
+    said, errors = resumed.communicate(orders, timeout=LIMIT_S)
     return resumed.returncode, said, errors
 
 
