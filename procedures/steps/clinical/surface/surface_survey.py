@@ -67,6 +67,7 @@ CANDIDATES, VIEWS, FEWEST_VIEWS = 16, 12, 6  # 8 patches of skin sufficed on six
 LOOK_S, SURVEY_S = 2.1, 60.0  # theatre time at a look, and of all with the ways to them
 ACROSS_MM = (-9.0, 0.0, 9.0)  # places of the line across a look
 WHOLE_PX = (2048, 1088)  # both whole sensors: skin up to 45 mm nearer or farther than expected
+TURN_SD_RAD, PLACE_SD_MM = float(np.radians(1.5)), 2.5  # of the found pose, from the largest error below
 # From the head, in addition to what a case keeps.
 # Safety against a head that is nearer than it was measured. Source: twice what a tape errs (U).
 ROUGH_MM = 30.0
@@ -77,7 +78,6 @@ LARGEST_ERROR_MM = 5.0
 # Share of the head's surface above the jaw: less than of a scan, since the error above decides.
 # Safety against a pose from two or three looks. Source: five looks of a whole case showed 0.05.
 LEAST_COVERAGE = 0.04
-TURN_SD_RAD, PLACE_SD_MM = float(np.radians(1.5)), 2.5  # of the found pose, from the limit above
 
 
 def run(context: StepContext) -> Outcome[SurfaceStart]:
