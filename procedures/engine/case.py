@@ -69,7 +69,10 @@ def results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ..
 
 def stand_ins(model: type[R]) -> Mapping[str, type[R]]:
     """Return a model and those derived from it, whose results stand in for its own, by kind."""
-    return {one.kind: one for one in (model, *model.__subclasses__())}
+    found = {model.kind: model}
+    for derived in model.__subclasses__():
+        found |= stand_ins(derived)
+    return found
 
 
 class Case:

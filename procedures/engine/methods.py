@@ -15,6 +15,13 @@ from procedures.registration.thesis_settings import E_MM, REFUSED_SHARE, check_t
 NOT_CLINICAL = "not for clinical use"
 
 
+class HeadStart(StrEnum):
+    """What a case on the skin knows of the head before its scan."""
+
+    LANDMARKS = "landmarks"  # nose and ears, touched with a pointer
+    SCAN = "scan"  # a few looks, taken where somebody has measured the head roughly
+
+
 class Matcher(StrEnum):
     """Pairing of the spheres in CT and room."""
 
@@ -31,6 +38,7 @@ class Matcher(StrEnum):
 class CaseMethods:
     """Localizer and matcher of a case; `e_mm` and `refused_share` are of the thesis' matcher.
 
+    `start` is of a case on the skin, whose head has no spheres to be matched.
     With `enhance_contrast` the stereo head's pictures are equalized before their edges are sought (1.4).
     Raises REG-007 if one of the two is out of range.
     """
@@ -43,6 +51,7 @@ class CaseMethods:
     e_mm: float = E_MM
     refused_share: float = REFUSED_SHARE
     enhance_contrast: bool = False
+    start: HeadStart = HeadStart.LANDMARKS
 
     def __post_init__(self) -> None:
         check_thesis_settings(self.e_mm, self.refused_share)

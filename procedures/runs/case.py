@@ -70,8 +70,13 @@ def strategy_of(case: CaseProcedure, plan: Plan | None) -> Strategy:
     return SkinLooks() if without_spheres else find_strategy(case.strategy)
 
 
-def _require_one_change(case: CaseProcedure, plan: Plan) -> None:
-    """Raise CLI-001 for a case on the skin with an assistant, or with a scan during the operation."""
+def require_one_change(case: CaseProcedure, plan: Plan) -> None:
+    """Raise CLI-001 for a case on the skin with an assistant, or with a scan during the operation.
+
+    The same holds for a start by the scan of a head with spheres.
+    """
+    from procedures.engine.methods import HeadStart
+    from procedures.planning.plan_model import FiducialKind
     from ronna_hw.command_line.errors import UsageMistake
 
     if plan.fiducials.has_skin and (len(case.roles) > 1 or case.intraoperative):
@@ -79,6 +84,13 @@ def _require_one_change(case: CaseProcedure, plan: Plan) -> None:
             f'the plan has fiducials = "{plan.fiducials}", which neither --dual nor --intraoperative is made '
             "for",
             action="Omit the option, or register by markers.",
+        )
+    start = case.methods.start
+    if start is not HeadStart.LANDMARKS and plan.fiducials is not FiducialKind.SURFACE:
+        raise UsageMistake(
+            f'the plan has fiducials = "{plan.fiducials}", and --start {start} is for the skin alone',
+            expected="a plan without spheres",
+            action="Omit --start.",
         )
 
 
@@ -93,6 +105,7 @@ def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
             intraoperative=case.intraoperative,
             roles=case.roles,
             fiducials=FiducialKind.FREE if plan is None else plan.fiducials,
+            start=case.methods.start,
         ),
         [] if plan is None else [trajectory.id for trajectory in plan.trajectories],
         localizes_per_trajectory=strategy_of(case, plan).localizes_per_trajectory,
@@ -140,7 +153,7 @@ def prepare_case(
         locked = held.enter_context(lock_plan(file))
         plan = parse_plan_bytes(locked.content, file.name)
         require_spheres(plan)
-        _require_one_change(case, plan)
+        require_one_change(case, plan)
     except RonnaError as problem:
         if resumption is None or resumption.interrupted.untouched:
             raise

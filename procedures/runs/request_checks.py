@@ -180,6 +180,7 @@ def check_case(request: RunRequest, out: Path) -> None:
                 intraoperative=case_procedure.intraoperative,
                 roles=case_procedure.roles,
                 fiducials=kind,
+                start=case_procedure.methods.start,
             )
         )
         check_fault_script(request.faults, tuple(dict.fromkeys(steps)))

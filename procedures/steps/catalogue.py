@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from procedures.engine.methods import HeadStart
 from procedures.engine.order import Steps, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import ABORT, CONTINUE, LEAVE, WAIT
@@ -37,11 +38,13 @@ from procedures.steps.clinical import (
 )
 from procedures.steps.clinical.at_target import STAGE_ANSWERS
 from procedures.steps.clinical.surface import (
+    head_measurement,
     skin_in_ct,
     surface_paths,
     surface_registration,
     surface_scan,
     surface_start,
+    surface_survey,
 )
 from procedures.steps.clinical.two_arms import base_to_base
 from procedures.steps.clinical.work_progress import STAGES
@@ -92,10 +95,13 @@ SCANNING: Mapping[StepSpec[StepResult], Steps] = {
 }
 # Of a case that registers on the skin, with or without spheres: the same steps, which look at both.
 ON_SKIN: Mapping[StepSpec[StepResult], Steps] = {
-    correspondence.STEP: (surface_start.STEP,),
     path_check.STEP: (surface_paths.STEP,),
     relocalization.STEP: (surface_scan.STEP,),
     registration.STEP: (surface_registration.STEP,),
+}
+STARTS_ON_SKIN: Mapping[HeadStart, Mapping[StepSpec[StepResult], Steps]] = {
+    HeadStart.LANDMARKS: {correspondence.STEP: (surface_start.STEP,)},
+    HeadStart.SCAN: {correspondence.STEP: (head_measurement.STEP, surface_survey.STEP)},
 }
 BY_FIDUCIALS: Mapping[FiducialKind, Mapping[StepSpec[StepResult], Steps]] = {
     FiducialKind.SURFACE: {fiducial_localization.STEP: (skin_in_ct.STEP,), **ON_SKIN},
@@ -112,15 +118,19 @@ def clinical_steps(
     intraoperative: bool = False,
     roles: Sequence[str] = ONE_ARM,
     fiducials: FiducialKind = FiducialKind.FREE,
+    start: HeadStart = HeadStart.LANDMARKS,
 ) -> Steps:
     """Return the steps of a case with arms in these roles.
 
-    On request it measures the targets, or scans the clamped head. What it registers is by the `fiducials`.
+    On request it measures the targets, or scans the clamped head. What it registers is by the `fiducials`,
+    and how it comes to the skin by the `start`.
     Raises ValueError where two changes replace the same step.
     """
     changes = [BY_ROLE.get(role, {}) for role in roles]
     changes += [MEASURING_TARGETS] * measure_targets + [SCANNING] * intraoperative
     changes.append(BY_FIDUCIALS.get(fiducials, {}))
+    if fiducials.has_skin:
+        changes.append(STARTS_ON_SKIN[start])
     replaced = {step: steps for change in changes for step, steps in change.items()}
     if len(replaced) < sum(map(len, changes)):
         raise ValueError(f"two of {', '.join(roles)} and the measurement of targets replace the same step")

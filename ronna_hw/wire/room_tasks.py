@@ -25,6 +25,7 @@ CART_PUSH = "cart_push"  # lean on the locked cart from each side
 DIALS = "dials"  # of the calibration stand: raise the divot to the tip, read its x, y and z
 GAUGE = "gauge"  # read it: the arm's joints at it in deg, and the height between its dials in mm
 TOUCH = "touch"  # the head with a pointer, in a direction from its middle, LPS; x, y, z in $ROBROOT are read
+MEASURE = "measure"  # the same by a tape from the base, roughly
 SITE_MARK = "site_mark"  # touch the mark of a trajectory on the patient's skin; x, y, z in $ROBROOT are read
 
 TASKS = (
@@ -49,6 +50,7 @@ TASKS = (
     DIALS,
     GAUGE,
     TOUCH,
+    MEASURE,
     SITE_MARK,
 )
 

@@ -30,6 +30,7 @@ from ronna_hw.wire.room_tasks import (
     HEAD_CLAMP,
     HOLDER,
     INSERT,
+    MEASURE,
     OUT,
     REST_DRILL,
     SCAN,
@@ -64,6 +65,7 @@ SCALE_MM = 0.05  # graduation of the depth stop: a vernier
 DIAL_MM = 0.001  # resolution of the digital gauge
 LARGEST_WEIGHT_KG = 3.0  # among the test weights of the room: what a small arm may carry
 POINTER_MM = 2.0  # one standard deviation per axis of a pointer set on skin by hand
+TAPE_MM = 10.0  # the same of a place measured by a tape from the base of the arm
 
 THROUGH_THE_GUIDE = (SKIN, DRILL, DURA, INSERT, SEATED)
 NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks need none
@@ -71,7 +73,10 @@ NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks n
     DRILL_HOLDER: (1, "a length in mm"),
     TEST_WEIGHT: (1, "a mass in kg, 0 to take it off"),
     GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),
-    TOUCH: (3, "a direction from the middle of the head: left, posterior, superior, as shares of its size"),
+    **dict.fromkeys(
+        (TOUCH, MEASURE),
+        (3, "a direction from the middle of the head: left, posterior, superior, as shares of its size"),
+    ),
 }
 
 
@@ -115,8 +120,9 @@ class Staff:
             OUT: self._take_out,
             DIALS: lambda: tuple(read_dials(self._world)),
             GAUGE: lambda: self._read_gauge(numbers),
-            TOUCH: lambda: self._touch(find_furthest(self._world.scene.head, np.array(numbers)), TOUCH),
-            SITE_MARK: lambda: self._touch(self._find_site(trajectory), SITE_MARK),
+            TOUCH: lambda: self._read_place(self._find_furthest(numbers), TOUCH, POINTER_MM),
+            MEASURE: lambda: self._read_place(self._find_furthest(numbers), MEASURE, TAPE_MM),
+            SITE_MARK: lambda: self._read_place(self._find_site(trajectory), SITE_MARK, POINTER_MM),
         }
         _check_task(task, trajectory, numbers, tasks)
         if task in THROUGH_THE_GUIDE:
@@ -224,6 +230,10 @@ class Staff:
         )
         return tuple(_round_to_scale(float(value), DIAL_MM) for value in read)
 
+    def _find_furthest(self, direction: Sequence[float]) -> Vector:
+        """Return where the patient's head reaches furthest in a direction."""
+        return find_furthest(self._world.scene.head, np.array(direction))
+
     def _find_site(self, trajectory: str) -> Vector:
         """Return the entry of a trajectory of the scene, which the surgeon has marked on the patient."""
         entries = {one.identifier: one.entry_ct_mm for one in self._world.scene.head.targets}
@@ -234,12 +244,12 @@ class Staff:
             )
         return np.array(entries[trajectory])
 
-    def _touch(self, skin_ct_mm: Vector, task: str) -> Readings:
-        """Return where a pointer touches the patient's head at a place of the CT, in the robot frame."""
+    def _read_place(self, skin_ct_mm: Vector, task: str, error_mm: float) -> Readings:
+        """Return where a person reads a place of the patient's head, given in the CT, in the robot frame."""
         head, seed = self._world.scene.head, self._world.scene.seed
         room = ShiftedRoom(self._world).now()
         place = apply(rigid_move(room.head_rad, room.head_mm) @ matrix_of(head.robot_from_ct), skin_ct_mm)
-        place += noise(seed, task, self._done[f"{task} "]).normal(0.0, POINTER_MM, 3)
+        place += noise(seed, task, self._done[f"{task} "]).normal(0.0, error_mm, 3)
         return tuple(_round_to_scale(float(value), 1.0) for value in place)
 
     def _place_of_gauge(self, joints_deg: Sequence[float]) -> Matrix:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from procedures.cli.planning_inputs import STRATEGY_HELP
-from procedures.engine.methods import CaseMethods, Matcher
+from procedures.engine.methods import CaseMethods, HeadStart, Matcher
 from procedures.imaging.localizers import Localizer
 from procedures.registration.thesis_settings import E_MM, E_RANGE_MM, REFUSED_SHARE, REFUSED_SHARE_RANGE
 from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, SceneChoice
@@ -207,6 +207,13 @@ class CaseOptions(TheatreOptions):
         ),
     ] = FiducialChoice.FREE
     strategy: Annotated[str, Option(metavar="|".join(STRATEGY_NAMES), help=STRATEGY_HELP)] = DEFAULT_STRATEGY
+    start: Annotated[
+        HeadStart,
+        Option(
+            help="On the skin: nose and ears touched with a pointer, or a few looks first, where the head "
+            "was measured roughly."
+        ),
+    ] = HeadStart.LANDMARKS
     localizer: Annotated[
         Localizer, Option(help="Finds the spheres in the CT; a thesis localizer is not for clinical use.")
     ] = Localizer.OURS
@@ -363,6 +370,7 @@ class CaseOptions(TheatreOptions):
             e_mm=E_MM if self.matcher_e_mm is None else self.matcher_e_mm,
             refused_share=REFUSED_SHARE if self.matcher_refused_share is None else self.matcher_refused_share,
             enhance_contrast=self.enhance_contrast,
+            start=self.start,
         )
 
 

@@ -134,6 +134,7 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
             intraoperative=opening.intraoperative,
             roles=opening.roles,
             fiducials=planned.fiducials,
+            start=opening.methods.start,
         ),
         [trajectory.id for trajectory in planned.trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,

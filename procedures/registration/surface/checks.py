@@ -162,7 +162,7 @@ def require_start(pose: Pose, start: Start | None, axes: HeadAxes) -> None:
     if start is None:
         return
     at_mm = axes.centre_mm
-    before = pose_of(start)
+    before = pose_of(start.robot_from_ct)
     turn = float(Rotation.from_matrix(pose.rotation @ before.rotation.T).magnitude())
     robot = (at_mm - pose.translation_mm) @ pose.rotation
     place = float(np.linalg.norm(before.apply(robot[None])[0] - at_mm))

@@ -42,7 +42,8 @@ OTHER_HEAD = ErrorCode(
     "SRF-005",
     RefusedError,
     "The scanned surface does not have the shape of the head in the CT.",
-    "Check that this is the CT of the patient on the table; clear the skin of drapes, and scan again.",
+    "Check that this is the CT of the patient on the table; clear the skin of hands and drapes, and scan "
+    "again.",
 )
 
 
@@ -75,7 +76,8 @@ FAR_FROM_START = ErrorCode(
     "SRF-009",
     RefusedError,
     "The registration ended further from its start than the start's error explains.",
-    "Check the tracker's frame and the landmarks; without a start the pose is searched from the scan alone.",
+    "Check the tracker's frame, then touch or measure nose and ears again; if that does not help, scan "
+    "again.",
 )
 
 

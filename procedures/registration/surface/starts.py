@@ -109,7 +109,7 @@ def pair_spheres(
     return PairedSpheres(pairs, fit.between(Frame.ROBOT, Frame.CT), tuple(away_mm.tolist()))
 
 
-def pose_of(start: Start) -> Pose:
-    """Return the pose CT <- robot of a start."""
-    ct_from_robot = start.robot_from_ct.inverse().as_matrix()
+def pose_of(robot_from_ct: Transform) -> Pose:
+    """Return the pose CT <- robot for a pose robot <- CT."""
+    ct_from_robot = robot_from_ct.inverse().as_matrix()
     return Pose(ct_from_robot[:3, :3], ct_from_robot[:3, 3])

@@ -283,7 +283,7 @@ def _settle(
     A start from which it does not settle is not trusted: the search then says whether it was wrong.
     """
     points, view, same_head_mm = thin.points_mm, thin.view_mm, limits.largest_residual_mm
-    found = None if start is None else settle(pose_of(start), points, view, surface)
+    found = None if start is None else settle(pose_of(start.robot_from_ct), points, view, surface)
     if found is None or found.sigma_mm > same_head_mm:
         found = settle(find_pose(points, view, surface, same_head_mm).pose, points, view, surface)
     if find_bone is not None:

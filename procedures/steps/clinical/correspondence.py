@@ -86,8 +86,21 @@ class TouchedPoint(Values):
     off_mm: float = Field(description="Distance from where the fit has it.")
 
 
+class SurveyedSkin(Values):
+    """First looks at the skin, whose pose was searched by what they show alone."""
+
+    looks: int = Field(description="Looks that show a line.")
+    lines: int = Field(description="Lines on the skin.")
+    points: int = Field(description="Points of the registration.")
+    coverage: float = Field(description="Share of the skin above the jaw within 10 mm of a point.")
+    rms_mm: float = Field(description="Root mean square of their distances from the skin of the CT.")
+    from_measured_mm: float = Field(description="From where the head was measured, at its middle.")
+    from_measured_rad: float = Field(description="From how it was measured to be turned.")
+    theatre_s: float = Field(description="Theatre time of all looks and the ways to them.")
+
+
 class SurfaceStart(Correspondence, kind="surface_start"):
-    """Coarse pose of a head without markers, by its landmarks or by a former registration."""
+    """Coarse pose of a head without markers: by its landmarks, by first looks, or as carried by its clamp."""
 
     landmarks: tuple[TouchedPoint, ...] = Field(description="As touched, in this order.")
     turn_sd_rad: float = Field(description="Standard deviation of the pose's rotation.")
@@ -101,11 +114,19 @@ class SurfaceStart(Correspondence, kind="surface_start"):
         default=None, description="Record of the former registration, if the frame on the clamp carried one."
     )
 
+    survey: SurveyedSkin | None = Field(
+        default=None, description="First looks at the skin; none if landmarks or the clamp tell the pose."
+    )
+
     @property
     def start(self) -> Start:
         """The pose with its error."""
-        touched = np.array([one.in_ct_mm for one in self.landmarks])
+        touched = np.array([one.in_ct_mm for one in self.landmarks]) if self.landmarks else None
         return Start(self.robot_from_ct.transform, self.turn_sd_rad, self.place_sd_mm, touched)
+
+
+class MeasuredHead(SurfaceStart, kind="head_measurement"):
+    """Rough pose of a head without markers, good enough to send the stereo head for first looks."""
 
 
 def run(context: StepContext) -> Outcome[Correspondence]:
@@ -200,16 +221,21 @@ def _touch_if_mirrored(
 
 
 def touch_head(
-    context: StepContext, order: str, direction: Numbers3 | None = None, *, site_of: str | None = None
+    context: StepContext,
+    order: str,
+    direction: Numbers3 | None = None,
+    *,
+    site_of: str | None = None,
+    task: str = TOUCH,
 ) -> Numbers3:
-    """Have the head touched; return the place as read, robot frame, mm.
+    """Have the head touched, or a place of it measured by `task`; return the place as read, robot frame, mm.
 
     It is touched on the side of a direction (LPS), or at the mark for the entry of the trajectory `site_of`.
     """
     context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
     x_mm, y_mm, z_mm = context.perform_task(
         Task(
-            TOUCH if site_of is None else SITE_MARK,
+            task if site_of is None else SITE_MARK,
             f"{order} and read its position in the base of the master ($ROBROOT of a KUKA, Base of a "
             "Universal Robots arm)",
             trajectory=site_of,

@@ -21,6 +21,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
 from procedures.relocalization.triangulation import check_head
 from procedures.room.sighting import Tracked
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
@@ -154,7 +155,7 @@ def localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Reloc
     )
 
 
-def begin_looks(context: StepContext, occasion: str, result: type[Relocalization]) -> None:
+def begin_looks(context: StepContext, occasion: str, result: type[StepResult]) -> None:
     """Start arm and cameras; unless a `result` stands, the arm begins at home, seen there by the tracker.
 
     What moves from then on shows at home. Raises PRO-007.

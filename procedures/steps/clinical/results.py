@@ -6,7 +6,7 @@ They are apart from their steps, which themselves compare the room.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from enum import StrEnum
 from typing import Self
@@ -134,7 +134,7 @@ class ScannedSurface(Relocalization, kind="surface_scan"):
     @property
     def scan(self) -> SurfaceScan:
         """The cloud, as a registration takes it."""
-        return SurfaceScan.join([_as_scan(number, line) for number, line in enumerate(self.lines)])
+        return join_lines(self.lines)
 
     @property
     def looks_taken(self) -> tuple[int, ...]:
@@ -163,6 +163,11 @@ class ScannedSurface(Relocalization, kind="surface_scan"):
             (),
         )
         return cls.model_validate({**empty, **fields})
+
+
+def join_lines(lines: Sequence[ScannedLine]) -> SurfaceScan:
+    """Return the points of all lines as one scan."""
+    return SurfaceScan.join([_as_scan(number, line) for number, line in enumerate(lines)])
 
 
 def _as_scan(number: int, line: ScannedLine) -> SurfaceScan:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from clinical_case import ROBOT_FROM_CT, TRAJECTORIES
 from prepared_results import NO_TABLE, SERIES
@@ -9,7 +11,7 @@ from prepared_results import NO_TABLE, SERIES
 from procedures.journal.results import FramedPose
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.registration.correspondence import MatchStatus
-from procedures.steps.clinical.correspondence import SurfaceStart, TouchedPoint
+from procedures.steps.clinical.correspondence import SurfaceStart, SurveyedSkin, TouchedPoint
 from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.clinical.results import (
     ErrorShare,
@@ -59,6 +61,21 @@ def surface_start() -> SurfaceStart:
         place_sd_mm=4.0,
         site=touched[2],
     )
+
+
+def surveyed_start() -> SurfaceStart:
+    """Return the start of the same head by first looks."""
+    survey = SurveyedSkin(
+        looks=9,
+        lines=25,
+        points=120,
+        coverage=0.05,
+        rms_mm=0.4,
+        from_measured_mm=14.0,
+        from_measured_rad=math.radians(8.0),
+        theatre_s=41.0,
+    )
+    return surface_start().model_copy(update={"landmarks": (), "survey": survey})
 
 
 def scanned_surface() -> ScannedSurface:

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
+import pydicom
 import pytest
+from pydicom.dataelem import RawDataElement
+from pydicom.tag import Tag
 from run_folders import records_of
-from simulated_case import SimulatedCase
+from simulated_case import LIMIT_S, SimulatedCase
 
 from procedures.journal.journal import Line
+from ronna_hw.errors import EXIT_DONE
 from sim.world.options import Carrier
 from sim.world.scene.model import ExchangedHead, Scene
 from sim.world.scene.named_scenes import draw_scene
@@ -23,7 +29,12 @@ SCANNING = "since step == surface_scan"
 
 
 @pytest.mark.parametrize(
-    ("options", "spheres"), [(("surface",), 0), (("mixed", "--markers", "1", "--strategy", "jdms"), 1)]
+    ("options", "spheres"),
+    [
+        (("surface",), 0),
+        (("surface", "--start", "scan"), 0),
+        (("mixed", "--markers", "1", "--strategy", "jdms"), 1),
+    ],
 )
 def test_a_case_on_the_skin_reaches_its_target_within_its_predicted_error(
     case: SimulatedCase, options: tuple[str, ...], spheres: int
@@ -77,6 +88,9 @@ BAD = {
     "a projector that stays dark": Bad(
         "surface_scan", ("SRF-032",), faults=f"{SCANNING}: camera projector dark"
     ),
+    "a hand in the scan": Bad(
+        "surface_registration", ("SRF-005", "SRF-010"), faults=f"{SCANNING}: camera hand 2 mm"
+    ),
     "a saturated camera": Bad("surface_scan", ("SRF-032",), faults=f"{SCANNING}: camera saturate left"),
 }
 
@@ -103,3 +117,41 @@ def test_bad_input_is_refused_with_the_arm_at_rest_and_nothing_lost(name: str, c
     assert "positioning" not in {step_of(line) for line in lines}
     kept = {record.kind for record in records_of(case.run_folder)}
     assert {step_of(line) for line in lines if line["entry"] == "result"} <= kept
+    exported = case.commands.run(
+        "ronna-procedure", "export", str(case.run_folder), "--out", str(case.folder / "exported")
+    )
+    assert exported.returncode == EXIT_DONE, exported.stderr
+
+
+def write_not_a_number(slice_file: Path) -> None:
+    """Spoil the grey values of a slice as a faulty archive does: no writer of DICOM allows it."""
+    data = pydicom.dcmread(slice_file)
+    data[Tag("RescaleSlope")] = RawDataElement(Tag("RescaleSlope"), "DS", 4, b"NaN ", 0, False, True)
+    data.save_as(slice_file)
+
+
+def go_on(case: SimulatedCase, orders: str) -> tuple[int, str, str]:
+    """Resume the case and give it orders; return how it ended, and what it said."""
+    line = ("ronna-procedure", "resume", str(case.run_folder), "--accept")
+    resumed = case.commands.start(*line, stdin=subprocess.PIPE)
+    said, errors = resumed.communicate(orders, timeout=LIMIT_S)
+    return resumed.returncode, said, errors
+
+
+def test_grey_values_that_are_no_numbers_since_a_case_began_are_refused_and_it_goes_on_with_sound_ones(
+    case: SimulatedCase,
+) -> None:
+    case.step("quit", words=("--scene", "mini", "--seed", str(SEED), "--fiducials", "surface"))
+    spoilt = sorted((case.run_folder / "case" / "ct").iterdir())[HALF_A_HEAD]
+    sound = spoilt.read_bytes()
+    write_not_a_number(spoilt)
+    _, said, errors = go_on(case, "next\nquit\n")
+    assert "done ct_import" not in said
+    assert "PRO-033" in errors  # what is imported like that from the start is CT-012
+    assert f"case/ct/{spoilt.name}: changed" in errors
+    assert "ronna-procedure verify RUN" in errors
+    assert not any(line["entry"] == "motion" for line in case.journal)
+    spoilt.write_bytes(sound)
+    ended, said, errors = go_on(case, "to skin_in_ct\nquit\n")
+    assert ended == EXIT_DONE, errors
+    assert "done skin_in_ct" in said

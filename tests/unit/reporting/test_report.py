@@ -29,7 +29,7 @@ from prepared_results import (
 from report_figures import figures_in, figures_of_records
 from report_text import report_text
 from scipy.spatial.transform import RigidTransform
-from skin_case import registered_by_surface, scanned_surface, skin_in_ct, surface_start
+from skin_case import registered_by_surface, scanned_surface, skin_in_ct, surface_start, surveyed_start
 from whole_run import IMPORTED
 
 from procedures.cli.runs.showing import show_run
@@ -564,6 +564,25 @@ def test_the_touched_mark_and_what_it_told_stand_with_the_landmarks(tmp_path: Pa
         "21% of the skin above the jaw",
     ):
         assert words in text
+
+
+def test_first_looks_stand_where_no_landmark_was_touched(tmp_path: Path) -> None:
+    run = recorded_run(
+        tmp_path / "run",
+        (StepKey("ct_import"), IMPORTED),
+        (StepKey("skin_in_ct"), skin_in_ct()),
+        (StepKey("surface_start"), surveyed_start()),
+        linked=True,
+    )
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", report_text(write_report(run, out=tmp_path / "out"))))
+    for words in (
+        "No landmark was touched: 9 first looks with 25 lines on 5 % of the skin found the head",
+        "14 mm and 8.000 deg from where it was measured",
+        "mark of T1, from its entry",
+        "Left and right were told by the mark of T1",
+    ):
+        assert words in text
+    assert "left ear" not in text
 
 
 def test_a_registration_on_the_skin_is_reported_with_its_regions_and_without_spheres(tmp_path: Path) -> None:

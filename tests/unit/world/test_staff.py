@@ -14,6 +14,7 @@ from ronna_hw.wire.room_tasks import (
     DEPTH_STOP,
     GAUGE,
     INSERT,
+    MEASURE,
     SITE_MARK,
     SKIN,
     TASKS,
@@ -282,6 +283,15 @@ def test_staff_touch_the_head_of_the_patient_on_the_given_side(tmp_path: Path) -
     head = SCENE.head
     place_ct = np.array(head.centre_ct_mm) - (0.0, head.semi_axes_mm[1], 0.0)
     assert nose == pytest.approx(head.robot_from_ct.transform(Frame.ROBOT, Frame.CT).apply(place_ct), abs=8.0)
+
+
+def test_staff_measure_the_head_by_a_tape_less_well_than_they_touch_it(tmp_path: Path) -> None:
+    staff, nose = Staff(a_world(), tmp_path), (0.0, -1.0, 0.0)
+    readings = {task: [staff.work(task, "", nose) for _ in range(40)] for task in (TOUCH, MEASURE)}
+    middles = {task: np.mean(each, axis=0) for task, each in readings.items()}
+    spreads = {task: np.std(each, axis=0) for task, each in readings.items()}
+    assert middles[MEASURE] == pytest.approx(middles[TOUCH], abs=8.0)
+    assert (spreads[MEASURE] > 3.0 * spreads[TOUCH]).all()
 
 
 def test_staff_touch_the_mark_of_a_trajectory_where_its_entry_is_on_the_patient(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.surface import Surface
 from procedures.registration.verification import verify_two_way
-from procedures.steps.clinical.correspondence import SurfaceStart
+from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart
 from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -134,7 +134,7 @@ def register_carried(context: StepContext) -> Outcome[RegisteredBySurface]:
         targets_mm = np.array([plan.trajectory(name).target_mm for name in names])
         pose, errors = correct_carried(carried, scanned.scan, skin_of(context), targets_mm)
     except RonnaError as contradiction:
-        context.void(SurfaceStart, contradiction)
+        context.void(MeasuredHead if context.stands(MeasuredHead) else SurfaceStart, contradiction)
         raise
     predictions = tuple(_widen(former[name], one) for name, one in zip(names, errors, strict=True))
     left_out = exclude_beyond_margin(context, plan, predictions)

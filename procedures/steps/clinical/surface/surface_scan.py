@@ -13,20 +13,18 @@ import numpy as np
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.registration.surface.errors import NOTHING_LIT
-from procedures.relocalization.triangulation import camera_model
-from procedures.room.sighting import Tracked
 from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.path_check import (
     CheckedPaths,
-    LocalizationPose,
     announce_motions,
     motions_over_spheres,
 )
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import arriving, begin_looks, localize_spheres
-from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedLook, ScannedSurface
+from procedures.steps.clinical.results import ScannedLine, ScannedLook, ScannedSurface
 from procedures.steps.clinical.room import ROOM_READS, check_room
+from procedures.steps.clinical.surface.look_scanner import LookScanner
 from procedures.steps.clinical.surface.scan_coverage import ScanCoverage, describe_scan
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, draw_coverage, tell_coverage
@@ -35,19 +33,11 @@ from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.strategies.skin_looks import SKIN
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.centring import Centring
-from procedures.workcell.line_look import LineLook
-from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.arrays import Array
-from ronna_hw.errors import RonnaError, is_error
-from ronna_hw.vectors import vector3
 
-ACROSS_MM = (-9.0, -3.0, 3.0, 9.0)  # places of the line across a look, along the tool's y axis
 LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
-CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
-DECIMALS = 4  # of a point in the record, mm
 SMALL_STEPS = "the small steps across each place on the skin"
 OF_LINES = ("lines", "planned_looks", "dark", "covered", "theatre_s", "kept_looks")  # of the result
-LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
 
 
 def run(context: StepContext) -> Outcome[ScannedSurface]:
@@ -146,10 +136,12 @@ def _take_looks(
     for number in (place for place in range(len(planned)) if place not in taken):
         state = coverage.after(len(looks), len(planned))
         context.progress(len(looks) / len(planned), describe_scan(state), state)
-        began_s = _read_time_s(workcell)  # after a pause
-        scanner = _Scanner(context, number, planned[number], arriving(context, paths, planned[number]))
+        began_s = read_time_s(workcell)  # after a pause
+        sides = arriving(context, paths, planned[number])
+        centring = Centring(workcell, sides, LINE_AREA_PX, context.setting.settings.approach_mm)
+        scanner = LookScanner(context, number, planned[number], centring)
         lines = tuple(scanner.scan())
-        theatre_s = _read_time_s(workcell) - began_s
+        theatre_s = read_time_s(workcell) - began_s
         looks.append(ScannedLook(number=number, lines=lines, reason=scanner.reason, theatre_s=theatre_s))
         if lines:
             workcell.record_scanned_look(_name_of(context), looks[-1].model_dump(mode="json"))
@@ -159,7 +151,7 @@ def _take_looks(
     return tuple(looks)
 
 
-def _read_time_s(workcell: Workcell) -> float:
+def read_time_s(workcell: Workcell) -> float:
     """Return the theatre time of a reading: a replay has no other."""
     workcell.master.joints_rad()
     return workcell.clock.now_s()
@@ -178,64 +170,6 @@ def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str]) -> None
         raise NOTHING_LIT(
             f"no look shows the line: {reason}", expected="a line", got=f"{len(dark)} dark looks"
         )
-
-
-class _Scanner:
-    """Scans one place on the skin: on to it, then across it in small steps."""
-
-    def __init__(
-        self, context: StepContext, number: int, look: LocalizationPose, sides: tuple[int, ...] | None
-    ) -> None:
-        self._context, self._number, self._look, self._sides = context, number, look, sides
-        approach_mm = context.setting.settings.approach_mm
-        self._centring = Centring(context.workcell, sides, LINE_AREA_PX, approach_mm)
-        self.reason = ""
-
-    def scan(self) -> list[ScannedLine]:
-        """Return the lines that show, with `reason` for those that do not."""
-        workcell, pose = self._context.workcell, self._look.tool_pose.transform
-        lines: list[ScannedLine] = []
-        for place, across_mm in enumerate(ACROSS_MM):
-            here = pose.displace(pose.rotation_matrix[:, 1] * across_mm)
-            try:
-                self._centring.go_over(here, self._look.approach_rad)
-            except RonnaError as problem:
-                if not is_error(problem, *LEFT_OUT):
-                    raise
-                self.reason = problem.summary
-                continue
-            if place == 0 and self._number % CHECKED_LOOKS == 0:
-                name = f"at look {self._number + 1}"
-                check_room(self._context, name, sides={Tracked.ARM: self._sides})
-            seen = workcell.look_at_line()
-            if seen.points is None or not len(seen.points.points_mm):
-                self.reason = "" if seen.problem is None else seen.problem.summary
-            else:
-                lines.append(self._record(seen))
-        return lines
-
-    def _record(self, seen: LineLook) -> ScannedLine:
-        workcell, found = self._context.workcell, seen.points
-        assert found is not None
-        joints_rad = workcell.master.joints_rad()
-        pose = workcell.master.tool_pose(joints_rad, self._sides)
-        view_mm = camera_model(workcell.calibrations.stereo_head.left).centre_mm
-        turn = pose.rotation_matrix
-        return ScannedLine(
-            look=self._number,
-            joints_rad=joints_rad,
-            view_mm=vector3(_rounded(pose.apply(view_mm))),
-            points_mm=_rounded(pose.apply(found.points_mm)).tolist(),
-            covariances_mm2=_upper(turn @ found.covariance_mm2 @ turn.T).tolist(),
-        )
-
-
-def _rounded(points_mm: Array) -> Array:
-    return np.asarray(np.round(points_mm, DECIMALS))
-
-
-def _upper(covariance_mm2: Array) -> Array:
-    return np.asarray(covariance_mm2[:, UPPER[0], UPPER[1]])
 
 
 STEP = StepSpec(

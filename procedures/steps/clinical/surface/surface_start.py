@@ -7,7 +7,7 @@ tracker is which sphere, if the head carries some: up to three could not tell th
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.distance import pdist
@@ -38,6 +38,7 @@ from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit, format_count
 from ronna_hw.vectors import vector3
+from ronna_hw.wire.room_tasks import TOUCH
 
 TOUCHED = ("tip of the nose", "left ear", "right ear")
 UNITS = {1: "cm", 3: "m"}  # by the power of ten that they are larger than mm
@@ -53,6 +54,20 @@ READ_AGAIN_SHARE = 0.01
 READ_MM = 40.0
 
 
+@dataclass(frozen=True)
+class LandmarkReading:
+    """How a person reads a landmark: the task, its order for a landmark, and the error per axis."""
+
+    task: str
+    order: str
+    deviation_mm: float
+
+
+BY_POINTER = LandmarkReading(
+    TOUCH, "touch the {} with the pointer, where it reaches furthest,", LANDMARK_SD_MM
+)
+
+
 def run(context: StepContext) -> Outcome[SurfaceStart]:
     """Have the landmarks touched, and fit the head to them, unless its clamp carries a former registration.
 
@@ -62,10 +77,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     room, plan = context.result(GlobalLocalization), context.result(CheckedPlan)
     if (carried := find_carried(context)) is not None:
         return start_carried(carried)
-    volume, skin_mm = volume_of(context), skin_of(context).points_mm
-    in_ct_mm = np.array([find_landmark(volume, skin_mm, LANDMARKS[one]) for one in TOUCHED])
-    orders = {one: f"touch the {one} with the pointer, where it reaches furthest," for one in TOUCHED}
-    touched_mm = np.array([touch_head(context, orders[one], LANDMARKS[one]) for one in TOUCHED])
+    in_ct_mm, touched_mm = read_landmarks(context, BY_POINTER)
     start = Start.from_landmarks(in_ct_mm, touched_mm)
     localized = context.result(SkinInCt)
     prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
@@ -75,7 +87,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     pose = start.robot_from_ct
     if paired.pairs:
         off_mm = require_fit(in_ct_mm, touched_mm, pose, prior, len(paired.pairs))
-    site = _touch_site(context, plan, pose, HeadAxes.of(skin_of(context)))
+    site = touch_site(context, plan, pose, HeadAxes.of(skin_of(context)))
     return Outcome(
         SurfaceStart(
             status=MatchStatus.UNIQUE,
@@ -90,48 +102,79 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
                 pose,
                 ct_disagreement_mm=localized.disagreement_mm,
             ),
-            landmarks=tuple(
-                TouchedPoint(landmark=name, in_ct_mm=vector3(there), touched_mm=vector3(here), off_mm=off)
-                for name, there, here, off in zip(TOUCHED, in_ct_mm, touched_mm, off_mm.tolist(), strict=True)
-            ),
+            landmarks=list_landmarks(in_ct_mm, touched_mm, off_mm),
             turn_sd_rad=start.turn_rad,
             place_sd_mm=start.place_mm,
             site=site,
         ),
-        summary=f"{len(TOUCHED)} landmarks, {_rms(off_mm):.1f} mm rms from their fit"
+        summary=tell_fit(off_mm)
         + (f"; {format_count(len(paired.pairs), 'sphere')} paired" if paired.pairs else "")
-        + ("" if site is None else f"; the mark of {site.landmark} is {site.off_mm:.0f} mm from its entry"),
+        + tell_site(site),
     )
 
 
-def require_fit(
-    in_ct_mm: Array, touched_mm: Array, pose: Transform, prior: RoomPrior, spheres: int = 0
-) -> Array:
-    """Return how far the touched landmarks (3, 3) are from where a pose robot <- CT has them.
+def read_landmarks(context: StepContext, reading: LandmarkReading) -> tuple[Array, Array]:
+    """Return the landmarks (3, 3) in the CT, and as a person reads them in the robot frame."""
+    volume, skin_mm = volume_of(context), skin_of(context).points_mm
+    in_ct_mm = np.array([find_landmark(volume, skin_mm, LANDMARKS[one]) for one in TOUCHED])
+    read_mm = [
+        touch_head(context, reading.order.format(one), LANDMARKS[one], task=reading.task) for one in TOUCHED
+    ]
+    return in_ct_mm, np.array(read_mm)
 
-    `spheres` were fitted beside them. Raises PRO-007 if that is more than landmarks err, and REG-013 if the
-    head would be elsewhere than planned.
+
+def list_landmarks(in_ct_mm: Array, read_mm: Array, off_mm: Array) -> tuple[TouchedPoint, ...]:
+    """List the landmarks (3, 3) as they are recorded, with their distances (3,) from the fit."""
+    return tuple(
+        TouchedPoint(landmark=name, in_ct_mm=vector3(there), touched_mm=vector3(here), off_mm=off)
+        for name, there, here, off in zip(TOUCHED, in_ct_mm, read_mm, off_mm.tolist(), strict=True)
+    )
+
+
+def tell_fit(off_mm: Array) -> str:
+    """Say how well the landmarks fit."""
+    return f"{len(TOUCHED)} landmarks, {_rms(off_mm):.1f} mm rms from their fit"
+
+
+def tell_site(site: TouchedPoint | None) -> str:
+    """Say where the touched mark is, as the end of a summary."""
+    return "" if site is None else f"; the mark of {site.landmark} is {site.off_mm:.0f} mm from its entry"
+
+
+def require_fit(
+    in_ct_mm: Array,
+    touched_mm: Array,
+    pose: Transform,
+    prior: RoomPrior,
+    spheres: int = 0,
+    deviation_mm: float = LANDMARK_SD_MM,
+) -> Array:
+    """Return how far the landmarks (3, 3), as read, are from where a pose robot <- CT has them.
+
+    `spheres` were fitted beside them; `deviation_mm` is what a landmark errs per axis. Raises PRO-007 if they
+    are further than that explains, and REG-013 if the head would be elsewhere than planned.
     """
     off_mm = np.asarray(np.linalg.norm(touched_mm - pose.apply(in_ct_mm), axis=1))
-    if (limit_mm := _most_apart_mm(spheres)) < _rms(off_mm):
+    if (limit_mm := _most_apart_mm(spheres, deviation_mm)) < _rms(off_mm):
         places = ", ".join(f"{one} {off:.0f} mm" for one, off in zip(TOUCHED, off_mm, strict=True))
+        cause = _guess_cause(in_ct_mm, touched_mm, prior, deviation_mm)
         raise GateFailed(
             "nose and ears are not as far from each other as in the CT: "
-            f"the {TOUCHED[int(off_mm.argmax())]} fits worst{_guess_cause(in_ct_mm, touched_mm, prior)}",
+            f"the {TOUCHED[int(off_mm.argmax())]} fits worst{cause}",
             limit=f"{limit_mm:.1f} mm rms",
             got=f"{format_against_limit(_rms(off_mm), limit_mm, 1)} mm; from their fit: {places}",
             action=READ_AGAIN,
         )
     if objection := _object_to(pose, prior):
-        cause = _guess_cause(in_ct_mm, touched_mm, prior)
+        cause = _guess_cause(in_ct_mm, touched_mm, prior, deviation_mm)
         raise HeadElsewhere(f"by the landmarks {objection}{cause}", action=READ_AGAIN)
     return off_mm
 
 
-def _most_apart_mm(spheres: int) -> float:
-    """Return the largest distance from their fit, rms, that touched landmarks have by their own error."""
+def _most_apart_mm(spheres: int, deviation_mm: float) -> float:
+    """Return the largest distance from their fit, rms, that landmarks have by their own error."""
     free = 3 * (len(TOUCHED) + spheres) - 6  # a pose takes six of the coordinates
-    return LANDMARK_SD_MM * float(np.sqrt(chdtri(free, READ_AGAIN_SHARE) / len(TOUCHED)))
+    return deviation_mm * float(np.sqrt(chdtri(free, READ_AGAIN_SHARE) / len(TOUCHED)))
 
 
 def _rms(off_mm: Array) -> float:
@@ -142,19 +185,19 @@ def _object_to(pose: Transform, prior: RoomPrior) -> str:
     return prior.check_position(pose.rotation_matrix, np.asarray(pose.apply(prior.sight.centre_mm)))
 
 
-def _guess_cause(in_ct_mm: Array, touched_mm: Array, prior: RoomPrior) -> str:
+def _guess_cause(in_ct_mm: Array, touched_mm: Array, prior: RoomPrior, deviation_mm: float) -> str:
     """Name the slip that would explain the readings, if one does."""
     larger = float(pdist(in_ct_mm).sum() / max(pdist(touched_mm).sum(), np.finfo(float).tiny))
     if (unit := UNITS.get(round(np.log10(larger)))) is not None:
         return f" (in {unit}?)"
     exchanged_mm = touched_mm[[0, 2, 1]]
-    pose = Start.from_landmarks(in_ct_mm, exchanged_mm, LANDMARK_SD_MM).robot_from_ct
+    pose = Start.from_landmarks(in_ct_mm, exchanged_mm, deviation_mm).robot_from_ct
     off_mm = np.linalg.norm(exchanged_mm - pose.apply(in_ct_mm), axis=1)
-    explains = _rms(off_mm) <= _most_apart_mm(0) and not _object_to(pose, prior)
+    explains = _rms(off_mm) <= _most_apart_mm(0, deviation_mm) and not _object_to(pose, prior)
     return "; the ears may have been exchanged" if explains else ""
 
 
-def _touch_site(
+def touch_site(
     context: StepContext, plan: CheckedPlan, robot_from_ct: Transform, axes: HeadAxes
 ) -> TouchedPoint | None:
     """Have the mark of the entry furthest aside touched. Raises SRF-006 if it is on the other side.

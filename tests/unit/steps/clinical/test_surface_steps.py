@@ -11,8 +11,9 @@ import pytest
 from coded_errors import raises
 from prepared_results import localized_fiducials, plan
 
+from procedures.engine.case import stand_ins
 from procedures.engine.context import StepContext
-from procedures.engine.methods import CaseMethods
+from procedures.engine.methods import CaseMethods, HeadStart
 from procedures.imaging.head_landmarks import find_landmark
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.head_in_ct import HeadEllipsoid
@@ -28,10 +29,10 @@ from procedures.registration.surface.errors import (
 from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface import Surface
 from procedures.relocalization.errors import NoLine, PairNotUsable
-from procedures.runs.case import strategy_of
+from procedures.runs.case import require_one_change, strategy_of
 from procedures.runs.request import CaseProcedure
 from procedures.steps.catalogue import clinical_steps
-from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.correspondence import Correspondence, MeasuredHead
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.results import (
     RegisteredRobot,
@@ -40,9 +41,11 @@ from procedures.steps.clinical.results import (
     ScannedSurface,
 )
 from procedures.steps.clinical.surface import skin_in_ct, surface_paths, surface_scan
-from procedures.steps.clinical.surface.surface_start import require_fit
+from procedures.steps.clinical.surface.head_measurement import BY_TAPE
+from procedures.steps.clinical.surface.surface_start import BY_POINTER, LandmarkReading, require_fit
 from procedures.workcell import line_look
 from ronna_hw.arrays import Array
+from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError
 from ronna_hw.roles import TWO_ARMS
 
@@ -74,6 +77,25 @@ def test_later_steps_read_the_skin_where_they_read_spheres(fiducials: FiducialKi
         "surface_scan",
         "surface_registration",
     }
+
+
+def test_a_start_by_the_scan_measures_the_head_and_looks_before_later_steps_read_its_pose() -> None:
+    steps = clinical_steps(fiducials=FiducialKind.SURFACE, start=HeadStart.SCAN)
+    names = [step.name for step in steps]
+    first = names.index("head_measurement")
+    assert names[first : first + 3] == ["head_measurement", "surface_start", "path_check"]
+    survey, *later = steps[first + 1 :]
+    assert survey.moves
+    assert MeasuredHead in survey.reads
+    assert not any(MeasuredHead in step.reads for step in later)
+    assert list(stand_ins(Correspondence)) == ["correspondence", "surface_start", "head_measurement"]
+
+
+def test_a_start_by_the_scan_is_for_the_skin_alone() -> None:
+    case = CaseProcedure(methods=CaseMethods(start=HeadStart.SCAN))
+    require_one_change(case, plan().model_copy(update={"fiducials": FiducialKind.SURFACE}))
+    with pytest.raises(UsageMistake, match="--start scan is for the skin alone"):
+        require_one_change(case, plan())
 
 
 def test_without_spheres_no_strategy_looks_at_them_and_with_some_the_chosen_one_does() -> None:
@@ -214,7 +236,7 @@ TOUCHED_MM = IN_CT_MM + np.array([900.0, 0.0, 200.0])
 NOSE_BESIDE_MM = np.array([[28.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
-def place(touched_mm: Array) -> Array:
+def place(touched_mm: Array, reading: LandmarkReading = BY_POINTER) -> Array:
     """Fit a head whose vertex must be up; return how far the landmarks are from their fit."""
     prior = SimpleNamespace(
         sight=SimpleNamespace(centre_mm=np.zeros(3)),
@@ -223,12 +245,21 @@ def place(touched_mm: Array) -> Array:
         ),
     )
     pose = Start.from_landmarks(IN_CT_MM, touched_mm).robot_from_ct
-    return require_fit(IN_CT_MM, touched_mm, pose, cast(Any, prior))
+    return require_fit(IN_CT_MM, touched_mm, pose, cast(Any, prior), deviation_mm=reading.deviation_mm)
 
 
 def test_landmarks_touched_as_well_as_skin_permits_place_the_head() -> None:
     slips_mm = np.array([[3.0, -2.0, 2.0], [-3.0, 2.0, 1.0], [2.0, 3.0, -2.0]])
     assert place(TOUCHED_MM + slips_mm).max() < 4.0
+
+
+def test_a_tape_may_err_by_centimetres_and_a_pointer_may_not() -> None:
+    slips_mm = np.array([[15.0, -20.0, 10.0], [-15.0, 10.0, 12.0], [10.0, 20.0, -15.0]])
+    assert place(TOUCHED_MM + slips_mm, BY_TAPE).max() < 30.0
+    with pytest.raises(RonnaError, match="PRO-007"):
+        place(TOUCHED_MM + slips_mm)
+    with pytest.raises(RonnaError, match="PRO-007"):
+        place(TOUCHED_MM + 3.0 * NOSE_BESIDE_MM, BY_TAPE)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,78 @@
+"""Rough place of the head, as somebody measures it: where the stereo head may take its first looks.
+
+Nose and ears are measured from the base of the arm by a tape, for a theatre without a pointer. That is good
+enough to keep clear of the head, and to find its skin in a whole picture. It has no part in the registration.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from procedures.engine.context import StepContext
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.results import FramedPose
+from procedures.registration.correspondence import MatchStatus
+from procedures.registration.surface.starts import Start
+from procedures.registration.verification import verify_two_way
+from procedures.steps.clinical.coarse_match import room_prior
+from procedures.steps.clinical.correspondence import MeasuredHead
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import SkinInCt
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
+from procedures.steps.clinical.surface.surface_start import (
+    LandmarkReading,
+    list_landmarks,
+    read_landmarks,
+    require_fit,
+    tell_fit,
+)
+from procedures.steps.conditions import needs_guide_unmounted
+from ronna_hw.wire.room_tasks import MEASURE
+
+# Safety against a stereo head that is sent into the head. Source: a tape held from the base by hand (U).
+MEASURED_SD_MM = 15.0  # per axis
+BY_TAPE = LandmarkReading(
+    MEASURE, "measure with a tape, to 3 cm, where the {} reaches furthest,", MEASURED_SD_MM
+)
+
+
+def run(context: StepContext) -> Outcome[MeasuredHead]:
+    """Have the head measured, unless its clamp carries a former registration. Raises PRO-007, REG-013."""
+    context.result(ImportedCt)
+    room, plan = context.result(GlobalLocalization), context.result(CheckedPlan)
+    context.result(SkinInCt)
+    if (carried := find_carried(context)) is not None:
+        there = start_carried(carried).result.model_dump() | {"carried": None}
+        summary = "the clamp has carried a registration: nothing is measured"
+        return Outcome(MeasuredHead.model_validate(there), summary=summary)
+    in_ct_mm, measured_mm = read_landmarks(context, BY_TAPE)
+    start = Start.from_landmarks(in_ct_mm, measured_mm, BY_TAPE.deviation_mm)
+    prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
+    off_mm = require_fit(in_ct_mm, measured_mm, start.robot_from_ct, prior, deviation_mm=BY_TAPE.deviation_mm)
+    pose = start.robot_from_ct
+    return Outcome(
+        MeasuredHead(
+            status=MatchStatus.UNIQUE,
+            pairs=(),
+            robot_from_ct=FramedPose.of(pose),
+            residuals_mm=(),
+            margin_nats=None,
+            two_way=verify_two_way(np.empty((0, 3)), np.empty((0, 3)), (), pose),
+            landmarks=list_landmarks(in_ct_mm, measured_mm, off_mm),
+            turn_sd_rad=start.turn_rad,
+            place_sd_mm=start.place_mm,
+        ),
+        summary=tell_fit(off_mm),
+    )
+
+
+STEP = StepSpec(
+    MeasuredHead,
+    "Measure where the head is",
+    Phase.PREPARATION,
+    run,
+    reads=(ImportedCt, SkinInCt, GlobalLocalization, CheckedPlan),
+    preconditions=needs_guide_unmounted,
+)

@@ -1,0 +1,87 @@
+"""Look at one place on the skin: the projector's line in a few places across, seen by the stereo head."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from procedures.engine.context import StepContext
+from procedures.relocalization.triangulation import camera_model
+from procedures.room.sighting import Tracked
+from procedures.steps.clinical.path_check import LocalizationPose
+from procedures.steps.clinical.results import UPPER, ScannedLine
+from procedures.steps.clinical.room import check_room
+from procedures.workcell.centring import Centring
+from procedures.workcell.line_look import LineLook
+from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
+from ronna_hw.arrays import Array
+from ronna_hw.errors import RonnaError, is_error
+from ronna_hw.vectors import vector3
+
+ACROSS_MM = (-9.0, -3.0, 3.0, 9.0)  # places of the line across a look, along the tool's y axis
+CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
+DECIMALS = 4  # of a point in the record, mm
+LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
+
+
+class LookScanner:
+    """Scans one place on the skin: on to it, then across it in small steps."""
+
+    def __init__(
+        self,
+        context: StepContext,
+        number: int,
+        look: LocalizationPose,
+        centring: Centring,
+        across_mm: Sequence[float] = ACROSS_MM,
+    ) -> None:
+        self._context, self._number, self._look = context, number, look
+        self._centring, self._sides, self._across_mm = centring, centring.arriving, across_mm
+        self.reason = ""
+
+    def scan(self) -> list[ScannedLine]:
+        """Return the lines that show, with `reason` for those that do not."""
+        workcell, pose = self._context.workcell, self._look.tool_pose.transform
+        lines: list[ScannedLine] = []
+        for place, across_mm in enumerate(self._across_mm):
+            here = pose.displace(pose.rotation_matrix[:, 1] * across_mm)
+            try:
+                self._centring.go_over(here, self._look.approach_rad)
+            except RonnaError as problem:
+                if not is_error(problem, *LEFT_OUT):
+                    raise
+                self.reason = problem.summary
+                continue
+            if place == 0 and self._number % CHECKED_LOOKS == 0:
+                name = f"at look {self._number + 1}"
+                check_room(self._context, name, sides={Tracked.ARM: self._sides})
+            seen = workcell.look_at_line()
+            if seen.points is None or not len(seen.points.points_mm):
+                self.reason = "" if seen.problem is None else seen.problem.summary
+            else:
+                lines.append(self._record(seen))
+        return lines
+
+    def _record(self, seen: LineLook) -> ScannedLine:
+        workcell, found = self._context.workcell, seen.points
+        assert found is not None
+        joints_rad = workcell.master.joints_rad()
+        pose = workcell.master.tool_pose(joints_rad, self._sides)
+        view_mm = camera_model(workcell.calibrations.stereo_head.left).centre_mm
+        turn = pose.rotation_matrix
+        return ScannedLine(
+            look=self._number,
+            joints_rad=joints_rad,
+            view_mm=vector3(_rounded(pose.apply(view_mm))),
+            points_mm=_rounded(pose.apply(found.points_mm)).tolist(),
+            covariances_mm2=_upper(turn @ found.covariance_mm2 @ turn.T).tolist(),
+        )
+
+
+def _rounded(points_mm: Array) -> Array:
+    return np.asarray(np.round(points_mm, DECIMALS))
+
+
+def _upper(covariance_mm2: Array) -> Array:
+    return np.asarray(covariance_mm2[:, UPPER[0], UPPER[1]])

@@ -1,0 +1,226 @@
+"""First looks at the skin, and the pose of the head by what they show alone.
+
+The head is known roughly, as somebody has measured it, so the stereo head keeps its distance, and whole
+pictures are read. The pose is searched over all turns: what was measured has no part in it, but a pose that
+it excludes is refused. The mark of an entry tells left from right then, as the shape of a head hardly does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from procedures.engine.context import StepContext
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.results import FramedPose
+from procedures.planning.motions import preview_motions
+from procedures.planning.pose_name import PoseKind, PoseName
+from procedures.planning.scene import PlanningScene
+from procedures.planning.skin_tour import tour_views
+from procedures.planning.skin_views import choose_views, mark_scannable
+from procedures.planning.visits import ArmSetting, PathCheck, Reached
+from procedures.registration.correspondence import MatchStatus
+from procedures.registration.errors import HeadElsewhere
+from procedures.registration.room_prior import RoomPrior
+from procedures.registration.surface.checks import SurfaceLimits, require_start
+from procedures.registration.surface.errors import NO_STATIONS
+from procedures.registration.surface.global_search import difference
+from procedures.registration.surface.regions import HeadAxes
+from procedures.registration.surface.scan import SurfaceScan
+from procedures.registration.surface.starts import Start, pose_of
+from procedures.registration.surface.surface import Surface
+from procedures.registration.surface.surface_registration import SurfaceRegistration, register_surface
+from procedures.registration.verification import verify_two_way
+from procedures.steps.clinical.coarse_match import room_prior
+from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart, SurveyedSkin
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.path_check import (
+    LocalizationPose,
+    MotionPreview,
+    announce_motions,
+    arm_setting_of,
+)
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.relocalization import begin_looks
+from procedures.steps.clinical.results import ScannedLine, join_lines
+from procedures.steps.clinical.room import ROOM_READS, check_room
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
+from procedures.steps.clinical.surface.look_scanner import LookScanner
+from procedures.steps.clinical.surface.skin_in_ct import skin_of
+from procedures.steps.clinical.surface.skin_pictures import tell_coverage
+from procedures.steps.clinical.surface.surface_scan import SMALL_STEPS, read_time_s, require_lines
+from procedures.steps.clinical.surface.surface_start import tell_site, touch_site
+from procedures.steps.clinical.surroundings import READS
+from procedures.steps.conditions import REMOUNTED, needs_tool
+from procedures.strategies.skin_looks import SKIN
+from procedures.strategies.strategy import ONE_SIDE
+from procedures.workcell import MountedTool
+from procedures.workcell.centring import Centring
+from ronna_hw.arrays import Array
+from ronna_hw.text import format_count
+
+CANDIDATES, VIEWS, FEWEST_VIEWS = 16, 12, 6  # 8 patches of skin sufficed on six heads of the study
+LOOK_S, SURVEY_S = 2.1, 60.0  # theatre time at a look, and of all with the ways to them
+ACROSS_MM = (-9.0, 0.0, 9.0)  # places of the line across a look
+WHOLE_PX = (2048, 1088)  # both whole sensors: skin up to 45 mm nearer or farther than expected
+TURN_SD_RAD, PLACE_SD_MM = float(np.radians(1.5)), 2.5  # of the found pose, from the largest error below
+# From the head, in addition to what a case keeps.
+# Safety against a head that is nearer than it was measured. Source: twice what a tape errs (U).
+ROUGH_MM = 30.0
+# Predicted error at a target, with 95 %: the scan that follows is taken from there.
+# Safety against first looks that leave the head undetermined. Source: a quarter of how far skin may be off
+# for a look of the scan to show it (U).
+LARGEST_ERROR_MM = 5.0
+# Share of the head's surface above the jaw: less than of a scan, since the error above decides.
+# Safety against a pose from two or three looks. Source: five looks of a whole case showed 0.05.
+LEAST_COVERAGE = 0.04
+
+
+def run(context: StepContext) -> Outcome[SurfaceStart]:
+    """Take first looks, and find the head by them. Raises SRF-002 to SRF-010, SRF-032, SRF-033, REG-013."""
+    context.result(ImportedCt)
+    measured = context.result(MeasuredHead)
+    if (carried := find_carried(context)) is not None:
+        return start_carried(carried)
+    setting = arm_setting_of(context)
+    assert setting.scene is not None  # a case always checks clearance
+    scene = setting.scene.with_reserve(setting.sizes.tool_mm + ROUGH_MM)
+    setting = replace(setting, scene=scene)
+    context.progress(0.0, "choosing first looks at the skin")
+    looks = choose_looks(context, setting)
+    lines, theatre_s = _take_looks(context, setting, scene, looks)
+    context.progress(0.9, "searching the head by what the looks show")
+    plan = context.result(CheckedPlan)
+    targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
+    room = context.result(GlobalLocalization)
+    prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
+    found = find_head(join_lines(lines), skin_of(context), measured.start, targets_mm, prior)
+    pose, axes = found.robot_from_ct, HeadAxes.of(skin_of(context))
+    turn_rad, place_mm = difference(
+        pose_of(pose), pose_of(measured.robot_from_ct.transform), np.asarray(pose.apply(axes.centre_mm))
+    )
+    site = touch_site(context, plan, pose, axes)
+    used_mm = found.residuals_mm[~found.excluded]
+    shown = len({line.look for line in lines})
+    return Outcome(
+        SurfaceStart(
+            status=MatchStatus.UNIQUE,
+            pairs=(),
+            robot_from_ct=FramedPose.of(pose),
+            residuals_mm=(),
+            margin_nats=None,
+            two_way=verify_two_way(np.empty((0, 3)), np.empty((0, 3)), (), pose),
+            landmarks=(),
+            turn_sd_rad=TURN_SD_RAD,
+            place_sd_mm=PLACE_SD_MM,
+            site=site,
+            survey=SurveyedSkin(
+                looks=shown,
+                lines=len(lines),
+                points=len(found.points_mm),
+                coverage=found.coverage,
+                rms_mm=float(np.sqrt(np.mean(used_mm**2))),
+                from_measured_mm=place_mm,
+                from_measured_rad=turn_rad,
+                theatre_s=theatre_s,
+            ),
+        ),
+        summary=f"found by {format_count(shown, 'look')}, {len(lines)} lines, "
+        f"{tell_coverage(found.coverage)}, {place_mm:.0f} mm and {np.degrees(turn_rad):.0f} deg from where "
+        f"it was measured{tell_site(site)}",
+    )
+
+
+def choose_looks(context: StepContext, setting: ArmSetting) -> tuple[Reached, ...]:
+    """Choose looks spread over the skin, in the order of a short way. Raises SRF-033."""
+    skin = skin_of(context)
+    scanned = mark_scannable(skin)
+    branch = setting.kinematics.branch_of(setting.start_rad)
+    views = choose_views(setting, branch, skin.points_mm[scanned], skin.normals[scanned], CANDIDATES)
+    tour = tour_views(setting, views[:VIEWS], FEWEST_VIEWS, LOOK_S, SURVEY_S)
+    if len(tour) < FEWEST_VIEWS:
+        raise NO_STATIONS(
+            f"the arm can look at few places on the skin and keep {ROUGH_MM:g} mm more than usual from it",
+            limit=f"{FEWEST_VIEWS} looks",
+            got=str(len(tour)),
+        )
+    return tuple(
+        replace(one, visit=replace(one.visit, name=PoseName(PoseKind.FIDUCIAL, SKIN, number)))
+        for number, one in enumerate(tour)
+    )
+
+
+def _take_looks(
+    context: StepContext, setting: ArmSetting, scene: PlanningScene, looks: Sequence[Reached]
+) -> tuple[list[ScannedLine], float]:
+    """Return the lines of all looks, and their theatre time, with the arm home again. Raises SRF-032."""
+    workcell = context.workcell
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    branch = setting.kinematics.branch_of(setting.start_rad)
+    check = PathCheck(branch, tuple(looks), ())
+    previews = [MotionPreview.of(one) for one in preview_motions(setting, scene, check, ())]
+    centring = Centring(workcell, ONE_SIDE, WHOLE_PX, setting.approach_mm)
+    lines: list[ScannedLine] = []
+    dark: dict[str, str] = {}
+    with workcell.master.supervised.announce_step_motions(announce_motions(previews, SMALL_STEPS)):
+        around = scene.with_stereo_head(
+            setting.robot_from_ct, workcell.master.flange_from(MountedTool.STEREO_HEAD)
+        )
+        workcell.master.surround(around, looks[len(looks) // 2].at_rad)
+        begin_looks(context, "before the first looks at the skin", SurfaceStart)
+        workcell.sensors.read_whole()
+        began_s = read_time_s(workcell)
+        for number, one in enumerate(looks):
+            context.progress(0.1 + 0.8 * number / len(looks), f"first look {number + 1} of {len(looks)}")
+            scanner = LookScanner(context, number, _as_look(number, one), centring, ACROSS_MM)
+            seen = scanner.scan()
+            lines += seen
+            if not seen:
+                dark[str(number + 1)] = scanner.reason
+        theatre_s = read_time_s(workcell) - began_s
+        if centring.is_over_sphere:
+            centring.back_off()
+        workcell.master.return_home()
+    check_room(context, "after the first looks at the skin")
+    for name, reason in dark.items():
+        context.find(f"first look {name} at the skin shows no line: {reason}")
+    require_lines(lines, dark)
+    return lines, theatre_s
+
+
+def _as_look(number: int, reached: Reached) -> LocalizationPose:
+    return LocalizationPose(
+        fiducial=number,
+        tool_pose=FramedPose.of(reached.visit.pose),
+        approach_rad=reached.approach_rad,
+        joints_rad=reached.at_rad,
+        approach_signs=ONE_SIDE,
+    )
+
+
+def find_head(
+    scan: SurfaceScan, skin: Surface, measured: Start, targets_mm: Array, prior: RoomPrior
+) -> SurfaceRegistration:
+    """Register first looks by themselves. Raises SRF-002 to SRF-010, and REG-013 if the plan excludes it."""
+    limits = SurfaceLimits(least_coverage=LEAST_COVERAGE, largest_error_mm=LARGEST_ERROR_MM)
+    found = register_surface(scan, skin, targets_ct_mm=targets_mm, limits=limits)
+    require_start(pose_of(found.robot_from_ct), measured, HeadAxes.of(skin))
+    middle_mm = np.asarray(found.robot_from_ct.apply(prior.sight.centre_mm))
+    if objection := prior.check_position(found.robot_from_ct.rotation_matrix, middle_mm):
+        raise HeadElsewhere(f"by the first looks {objection}")
+    return found
+
+
+STEP = StepSpec(
+    SurfaceStart,
+    "Find the head by first looks at the skin",
+    Phase.PREPARATION,
+    run,
+    reads=(ImportedCt, *ROOM_READS, CheckedSetUp, *READS),
+    moves=True,
+    preconditions=needs_tool(MountedTool.STEREO_HEAD, REMOUNTED),
+)
