@@ -317,14 +317,6 @@ class CaseOptions(TheatreOptions):
                 got=self.assistant_arm if "--assistant-arm" in given else None,
                 action=f"Add --dual, or omit {given}.",
             )
-        if self.fiducials in (FiducialChoice.SURFACE, FiducialChoice.MIXED) and (
-            given := self._list_changed_options(("dual", "intraoperative"))
-        ):
-            raise UsageMistake(
-                f"{given} and --fiducials {self.fiducials} cannot be combined",
-                expected="one arm, and the CT that the skin is registered to",
-                action=f"Omit {given}.",
-            )
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")
         procedure = CaseProcedure(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from procedures.engine.order import Scope
 from procedures.operator.question import FOR_A_PERSON, Topic, join_answers
+from procedures.planning.plan_model import FiducialKind
 from procedures.reporting.run_options import RunOptions
 from procedures.steps.branches import BRANCHES, KEPT_BASES
 from procedures.steps.catalogue import AFTER_STOP, ANSWER_WORDS, clinical_steps
@@ -54,11 +55,14 @@ class QuestionRow:
 
 
 def questions_of_course(
-    roles: Sequence[str], *, measure_targets: bool, intraoperative: bool
+    roles: Sequence[str], fiducials: FiducialKind, *, measure_targets: bool, intraoperative: bool
 ) -> tuple[QuestionRow, ...]:
     """List the questions that every case asks, in order."""
     rows: list[QuestionRow] = []
-    for step in clinical_steps(measure_targets=measure_targets, intraoperative=intraoperative, roles=roles):
+    steps = clinical_steps(
+        measure_targets=measure_targets, intraoperative=intraoperative, roles=roles, fiducials=fiducials
+    )
+    for step in steps:
         title = f"{step.title}, at each target" if step.scope is not Scope.CASE else step.title
         for topic in step.asks:
             rows.append(_row(title, topic, SUBJECTS.get(topic, topic.replace("_", " "))))
@@ -66,9 +70,9 @@ def questions_of_course(
     return tuple(rows)
 
 
-def questions_of_branches(roles: Sequence[str]) -> tuple[QuestionRow, ...]:
+def questions_of_branches(roles: Sequence[str], fiducials: FiducialKind) -> tuple[QuestionRow, ...]:
     """List the questions that are asked only if something happens, and the confirmation of a first motion."""
-    steps = {step.name for step in clinical_steps(roles=roles)}
+    steps = {step.name for step in clinical_steps(roles=roles, fiducials=fiducials)}
     first = _row("", Topic.FIRST_MOTION, SUBJECTS[Topic.FIRST_MOTION])
     branches = (
         _row("", branch.topic, branch.event)

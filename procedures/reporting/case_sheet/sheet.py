@@ -183,10 +183,11 @@ def sheet_of_plan(
         limits=limits_of_case(theatre.cell, theatre.settings, theatre.arm, dual=ASSISTANT in roles),
         questions=questions_of_course(
             roles,
+            plan.fiducials,
             measure_targets=bool(options.values.get("measure_targets")),
             intraoperative=bool(options.values.get("intraoperative")),
         ),
-        branches=questions_of_branches(roles),
+        branches=questions_of_branches(roles, plan.fiducials),
         answering=describe_answering(options, simulated=bool(theatre.banner)),
     )
 

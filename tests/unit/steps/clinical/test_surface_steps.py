@@ -129,6 +129,7 @@ def test_a_ct_that_ends_in_the_middle_of_the_face_is_refused(lowest_mm: float, i
         skin_in_ct.require_face(cast(Surface, SimpleNamespace(points_mm=skin)))
 
 
+@pytest.mark.branch("FEW_LOOKS")
 def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     skin = SimpleNamespace(points_mm=np.zeros((4, 3)), normals=np.zeros((4, 3)))
     kinematics = SimpleNamespace(branch_of=lambda _joints: None)
@@ -147,6 +148,7 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
         surface_paths.run(cast(StepContext, context))
 
 
+@pytest.mark.branch("DARK_SCAN")
 def test_a_scan_without_any_line_is_refused_with_the_reason() -> None:
     with raises(NOTHING_LIT, match="no laser line"):
         surface_scan.require_lines([], {"1": "no laser line in view"})
@@ -231,6 +233,7 @@ def test_landmarks_touched_as_well_as_skin_permits_place_the_head() -> None:
     assert place(TOUCHED_MM + slips_mm).max() < 4.0
 
 
+@pytest.mark.branch("UNLIKE_LANDMARKS")
 @pytest.mark.parametrize(
     ("touched_mm", "code", "said"),
     [
