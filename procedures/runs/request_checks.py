@@ -126,7 +126,7 @@ def check_asking(request: RunRequest, begun: Path | None = None) -> None:
 
 
 def require_fitting_options(case: CaseProcedure, fiducials: FiducialKind) -> None:
-    """Raise CLI-001 for options of a case that mean nothing with its fiducials, and as `require_one_change`."""
+    """Raise CLI-001 for options without effect with these fiducials, and as `require_one_change`."""
     require_one_change(case, fiducials)
     without_spheres = not fiducials.fewest_and_most[1]
     at_spheres = "spheres: on the skin alone, the same looks serve all targets"

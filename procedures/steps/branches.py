@@ -235,8 +235,8 @@ CART_MOVED = Branch(
     "the frame on the arm according to tracker and arm, as above; during motions with the guide and at the "
     "target from 10 mm on",
     (
-        *("relocalization", "surface_scan", "tool_change", "tool_check", "positioning", "at_target", "retreat"),
-        "confirmation",
+        *("relocalization", "surface_scan", "tool_change", "tool_check", "positioning", "at_target"),
+        *("retreat", "confirmation"),
     ),
     "if the operator agrees, the arm goes home, the cart is locked again and the case continues from "
     "the global localization; CT, plan and finished targets remain valid. If all are finished, the arm "

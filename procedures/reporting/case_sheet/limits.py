@@ -66,9 +66,7 @@ def limits_of_case(
 
 def _before_motion(fiducials: FiducialKind) -> Iterator[LimitRow]:
     if fiducials is not FiducialKind.SURFACE:
-        yield LimitRow(
-            "one sphere over the tracker's frames", _mm(SPREAD_LIMIT_MM, "rms"), "the step fails"
-        )
+        yield LimitRow("one sphere over the tracker's frames", _mm(SPREAD_LIMIT_MM, "rms"), "the step fails")
     yield LimitRow(
         "cart, leaned on from each side", _mm(LOCKED_LIMIT_MM), "the cart is not locked: the step fails"
     )
