@@ -111,9 +111,9 @@ def test_an_assistant_and_a_scan_of_the_skin_are_not_combined() -> None:
 
 def test_a_theatre_that_cannot_scan_or_watch_the_head_is_refused_first() -> None:
     with raises(NO_PROJECTOR):
-        skin_in_ct.run(context_of(stereo=object(), patient_frame="on clamp"))
+        skin_in_ct.run(context_of(stereo=object(), patient_frame="on clamp", calibrations=None))
     with raises(NO_PATIENT_FRAME):
-        skin_in_ct.run(context_of(stereo=Head(), patient_frame=None))
+        skin_in_ct.run(context_of(stereo=Head(), patient_frame=None, calibrations=None))
     with raises(ARM_NOT_CALIBRATED):
         skin_in_ct.run(
             context_of(stereo=Head(), patient_frame="on clamp", calibrations=SimpleNamespace(arm=None))
