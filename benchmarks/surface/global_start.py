@@ -37,9 +37,10 @@ def try_head(number: int, coverage: Coverage) -> dict[str, Any]:
     random = np.random.default_rng([SEED, number, SCANNED.index(coverage)])
     skin = DEVELOPMENT[number % len(DEVELOPMENT)]
     draw = Draw.of(random)
-    in_ct = draw_head(SEED, number).with_offset(draw.offset_mm)
-    targets_mm = np.concatenate(list(in_ct.targets_mm(random).values()))
-    trial = draw_trial(in_ct, coverage, skin, draw, random, shifted=False)
+    head = draw_head(SEED, number)
+    targets_mm = np.concatenate(list(head.targets_mm(random).values()))
+    trial = draw_trial(head, coverage, skin, draw, random, shifted=False)
+    in_ct = head.shown_by(draw.offset_mm, trial.slices)
     row: dict[str, Any] = {"head": number, "scanned": coverage.value, "skin": skin.value}
     began_s = time.process_time()
     try:

@@ -5,20 +5,36 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
 from procedures.cli.calibrating.mount import app as calibrate_app
-from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions, LinkOptions
+from procedures.cli.case.options import (
+    CaseOptions,
+    ConfigOption,
+    ConsoleOptions,
+    FiducialChoice,
+    LinkOptions,
+    StartOption,
+)
 from procedures.cli.monitor import monitor
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from procedures.cli.theatre_history import theatre_history
+from procedures.engine.methods import HeadStart
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import with_option_records
 from ronna_hw.host.process import resume_garbage_collection, suspend_garbage_collection
 from ronna_hw.roles import roles_of
+
+if TYPE_CHECKING:
+    from procedures.engine.order import Steps
+
+DualOption = Annotated[bool, Option("--dual", help="Of a case with two arms.")]
+FiducialsOption = Annotated[
+    FiducialChoice, Option(help="Of a case that registers by these; surface and mixed scan the skin.")
+]
 
 app = terminal.command_group(
     "ronna-procedure",
@@ -56,14 +72,16 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
 
 @app.command("steps")
 def steps_command(
-    dual: Annotated[bool, Option("--dual", help="Of a case with two arms.")] = False,
+    dual: DualOption = False,
+    fiducials: FiducialsOption = FiducialChoice.FREE,
+    start: StartOption = HeadStart.LANDMARKS,
     as_json: terminal.JsonOption = False,
 ) -> None:
     """List the steps of the procedure, what each one needs and what it may ask."""
     from procedures.engine.order import Scope
-    from procedures.steps.catalogue import clinical_steps, list_questions
+    from procedures.steps.catalogue import list_questions
 
-    steps = clinical_steps(roles=roles_of(dual=dual))
+    steps = _steps_of(dual=dual, fiducials=fiducials, start=start)
     if as_json:
         rows = []
         for step in steps:
@@ -84,12 +102,28 @@ def steps_command(
 
 
 @app.command("graph")
-def graph_command() -> None:
+def graph_command(
+    dual: DualOption = False,
+    fiducials: FiducialsOption = FiducialChoice.FREE,
+    start: StartOption = HeadStart.LANDMARKS,
+) -> None:
     """Print the state chart of the procedure as mermaid text."""
     from procedures.engine.machine import state_chart_mermaid
-    from procedures.steps.catalogue import CLINICAL_STEPS
 
-    sys.stdout.write(state_chart_mermaid(CLINICAL_STEPS))
+    sys.stdout.write(state_chart_mermaid(_steps_of(dual=dual, fiducials=fiducials, start=start)))
+
+
+def _steps_of(*, dual: bool, fiducials: FiducialChoice, start: HeadStart) -> Steps:
+    """Return the steps of a case. Raises CLI-001 for choices that cannot be combined."""
+    from procedures.engine.methods import CaseMethods
+    from procedures.planning.plan_model import FiducialKind
+    from procedures.runs.request import CaseProcedure
+    from procedures.runs.request_checks import require_one_change
+    from procedures.steps.catalogue import clinical_steps
+
+    roles, kind = roles_of(dual=dual), FiducialKind(fiducials.value)
+    require_one_change(CaseProcedure(roles=roles, methods=CaseMethods(start=start)), kind)
+    return clinical_steps(roles=roles, fiducials=kind, start=start)
 
 
 @app.command("doctor")

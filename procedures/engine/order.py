@@ -88,7 +88,7 @@ class StepSpec(Generic[R_co]):
     @property
     def needs(self) -> tuple[str, ...]:
         """Kinds of results that must be valid before the step can start."""
-        return tuple(model.kind for model in self.reads)
+        return tuple(dict.fromkeys(model.kind for model in self.reads))
 
 
 Steps = Sequence[StepSpec[StepResult]]

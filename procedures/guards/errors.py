@@ -87,13 +87,13 @@ class RoomUndecided(RefusedError):
 
 
 class PatientMoved(RefusedError):
-    """The spheres have moved since they were localized. `moved_mm` is their rms displacement."""
+    """The head has moved since it was localized. `moved_mm` is the rms displacement of what shows it."""
 
     code = "PRO-020"
     action = (
-        "Check the clamp and the spheres, then localize again: run global_localization. With the guide "
-        "mounted, send the arm home first; after a small move, the registration step then asks whether the "
-        "registration should follow it."
+        "Check the clamp, its frame and the spheres, then localize again: run global_localization. With the "
+        "guide mounted, send the arm home first. After a small move, the registration step then asks whether "
+        "a registration by spheres should follow it; one on the skin is confirmed by a few looks."
     )
     moved_mm: float = math.inf
 

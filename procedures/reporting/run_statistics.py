@@ -12,8 +12,7 @@ from datetime import datetime
 from typing import Any, Literal, NamedTuple
 
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Line, theatre_time_s
-from procedures.steps.catalogue import clinical_steps
-from ronna_hw.roles import TWO_ARMS
+from procedures.steps.catalogue import name_every_step
 from ronna_hw.text import format_count
 
 BETWEEN_STEPS = "between steps"
@@ -24,10 +23,7 @@ OPERATOR_S, ALGORITHM_S = 191.5, 28.8
 ALGORITHM_PROCESSOR = "Intel i7-6700HQ"
 LOCALIZATION = "fiducial_localization"
 OUTSIDE = "outside the steps"
-PHASES: Mapping[str, str] = {
-    step.name: step.phase.value
-    for step in clinical_steps(measure_targets=True, intraoperative=True, roles=TWO_ARMS)
-}
+PHASES: Mapping[str, str] = {name: step.phase.value for name, step in name_every_step().items()}
 ACTIVE = "active"  # the state that a device left
 CONNECTED = "connected"  # the event with which counters of the connection begin
 LINK = "link"  # what a connection counts, from its beginning

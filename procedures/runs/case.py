@@ -70,30 +70,6 @@ def strategy_of(case: CaseProcedure, plan: Plan | None) -> Strategy:
     return SkinLooks() if without_spheres else find_strategy(case.strategy)
 
 
-def require_one_change(case: CaseProcedure, plan: Plan) -> None:
-    """Raise CLI-001 for a case on the skin with an assistant, or with a scan during the operation.
-
-    The same holds for a start by the scan of a head with spheres.
-    """
-    from procedures.engine.methods import HeadStart
-    from procedures.planning.plan_model import FiducialKind
-    from ronna_hw.command_line.errors import UsageMistake
-
-    if plan.fiducials.has_skin and (len(case.roles) > 1 or case.intraoperative):
-        raise UsageMistake(
-            f'the plan has fiducials = "{plan.fiducials}", which neither --dual nor --intraoperative is made '
-            "for",
-            action="Omit the option, or register by markers.",
-        )
-    start = case.methods.start
-    if start is not HeadStart.LANDMARKS and plan.fiducials is not FiducialKind.SURFACE:
-        raise UsageMistake(
-            f'the plan has fiducials = "{plan.fiducials}", and --start {start} is for the skin alone',
-            expected="a plan without spheres",
-            action="Omit --start.",
-        )
-
-
 def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
     from procedures.engine.order import order_of
     from procedures.planning.plan_model import FiducialKind
@@ -132,6 +108,7 @@ def prepare_case(
     from procedures.planning.plan_lock import lock_plan
     from procedures.planning.tool_records import ToolRecords
     from procedures.runs.engine_setup import EngineInput
+    from procedures.runs.request_checks import require_fitting_options, require_one_change
     from procedures.workcell.tracker_look import require_tracked_spheres
     from ronna_hw.records import write_atomically
     from ronna_hw.registry import make_device
@@ -153,7 +130,7 @@ def prepare_case(
         locked = held.enter_context(lock_plan(file))
         plan = parse_plan_bytes(locked.content, file.name)
         require_spheres(plan)
-        require_one_change(case, plan)
+        (require_fitting_options if resumption is None else require_one_change)(case, plan.fiducials)
     except RonnaError as problem:
         if resumption is None or resumption.interrupted.untouched:
             raise

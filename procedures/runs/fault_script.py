@@ -29,8 +29,8 @@ def check_fault_script(path: Path, step_names: Collection[str]) -> None:
         raise UsageMistake(
             f"{path.name}, {'; '.join(unknown)}",
             expected=f"one of {', '.join(step_names)}",
-            action="Correct the fault script; ronna-procedure steps lists all steps, with --dual also those "
-            "of two arms.",
+            action="Correct the fault script; ronna-procedure steps lists the steps of a case, with the "
+            "--fiducials and --dual that it has.",
         )
 
 

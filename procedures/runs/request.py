@@ -129,6 +129,11 @@ class SceneChoice:
         return options
 
     @property
+    def has_own_fiducials(self) -> bool:
+        """Whether the scene is a file, which states the fiducials and is read only later."""
+        return bool(Path(self.scene).suffix)
+
+    @property
     def scene_seed(self) -> int:
         """Random seed of the scene; a scene file contains its own."""
         path = Path(self.scene)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from procedures.journal.free_space import NO_DISK, describe_shortage
 from procedures.runs.fault_script import check_fault_script
-from procedures.runs.request import PATIENT_SCENES, CaseProcedure
+from procedures.runs.request import FREE, PATIENT_SCENES, CaseProcedure
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.config import ARM_RECORDS, TheatreFile, read_theatre_file
@@ -24,6 +24,7 @@ from ronna_hw.phantom_identity import parse_patient_id
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 if TYPE_CHECKING:
+    from procedures.planning.plan_model import FiducialKind
     from procedures.runs.request import RunRequest, SceneChoice
 
 
@@ -124,6 +125,56 @@ def check_asking(request: RunRequest, begun: Path | None = None) -> None:
         require_theatre(control, theatre.identity, request.config)
 
 
+def require_fitting_options(case: CaseProcedure, fiducials: FiducialKind) -> None:
+    """Raise CLI-001 for options without effect with these fiducials, and as `require_one_change`."""
+    require_one_change(case, fiducials)
+    without_spheres = not fiducials.fewest_and_most[1]
+    at_spheres = "spheres: on the skin alone, the same looks serve all targets"
+    in_ct = "spheres in the CT"
+    by_distances = "spheres paired by their distances; beside the skin, landmarks tell them apart"
+    default = CaseProcedure()
+    for option, given, usual, is_idle, expected in (
+        ("--strategy", case.strategy, default.strategy, without_spheres, at_spheres),
+        ("--localizer", case.methods.localizer, default.methods.localizer, without_spheres, in_ct),
+        ("--matcher", case.methods.matcher, default.methods.matcher, fiducials.has_skin, by_distances),
+    ):
+        if is_idle and given != usual:
+            raise UsageMistake(
+                f"{option} {given} has no effect with fiducials {fiducials}",
+                expected=expected,
+                action=f"Omit {option}.",
+            )
+
+
+def require_one_change(case: CaseProcedure, fiducials: FiducialKind) -> None:
+    """Raise CLI-001 for a case on the skin with an assistant, or with a scan during the operation.
+
+    The same holds for a start by the scan of a head with spheres.
+    """
+    from procedures.engine.methods import HeadStart
+    from procedures.planning.plan_model import FiducialKind
+
+    start = case.methods.start
+    if start is not HeadStart.LANDMARKS and fiducials is not FiducialKind.SURFACE:
+        raise UsageMistake(
+            f"--start {start} and fiducials {fiducials} cannot be combined",
+            expected="the skin alone: what spheres there are, landmarks tell apart",
+            action="Omit --start.",
+        )
+    if not fiducials.has_skin:
+        return
+    for option, is_given, expected in (
+        ("--dual", len(case.roles) > 1, "one arm"),
+        ("--intraoperative", case.intraoperative, "the CT from before, to which the skin is registered"),
+    ):
+        if is_given:
+            raise UsageMistake(
+                f"{option} and fiducials {fiducials} cannot be combined",
+                expected=expected,
+                action=f"Omit {option}, or register by spheres alone: fiducials {FREE}.",
+            )
+
+
 def check_case(request: RunRequest, out: Path) -> None:
     """Check theatre, plan, answers, fault script and free space of a case before its run folder is made."""
     case_procedure = request.case
@@ -132,6 +183,10 @@ def check_case(request: RunRequest, out: Path) -> None:
         from procedures.strategies.catalogue import find_strategy
 
         find_strategy(case_procedure.strategy)
+    if request.config is None and not request.choice.has_own_fiducials:
+        from procedures.planning.plan_model import FiducialKind
+
+        require_fitting_options(case_procedure, FiducialKind(request.choice.fiducials))
     check_theatre(request)
     if request.config is not None:
         theatre = read_theatre_file(request.config)
@@ -170,8 +225,7 @@ def check_case(request: RunRequest, out: Path) -> None:
         from procedures.steps.catalogue import clinical_steps
 
         stated = FiducialKind(request.choice.fiducials)
-        # The file of a scene has fiducials of its own; it is read only later.
-        kinds = tuple(FiducialKind) if request.choice.scene.endswith(".toml") else (stated,)
+        kinds = tuple(FiducialKind) if request.choice.has_own_fiducials else (stated,)
         steps = (
             step.name
             for kind in kinds

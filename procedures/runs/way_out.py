@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 from procedures.engine.case import StepKey, results_of, stand_ins
+from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RECOVERY_REFUSED
 from procedures.steps.calibration.ball_place import BallPlace
@@ -32,8 +33,8 @@ from ronna_hw.frames import Transform
 
 TIP_KNOWN_MM = 15.0  # how far the tip may be from its record, and the ball from its stated position
 MOVED_SINCE = (
-    "something has moved since the guide was positioned: on its way out it keeps clear of the head's "
-    "former position"
+    "something has moved since the arm came to the head: on its way out it keeps clear of the head's former "
+    "position"
 )
 AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or the question is superfluous
 AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
@@ -64,21 +65,33 @@ def _surround_assistant(engine: Engine, arm: Assistant) -> None:
 
 def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
     """Set the bodies around an assistant on no axis: the head as first found, or as last found of old."""
-    workcell, case = engine.setting.workcell, engine.case
-    standing = case.find(Correspondence, None)
-    former = results_of(Correspondence, case.records)
-    if standing is None and not former:
+    workcell = engine.setting.workcell
+    found = _find_head(engine)
+    if found is None:
         if assistant.place.is_out:
             raise RECOVERY_REFUSED(
                 f"the {assistant.name} is not home, and no result gives the position of the head",
                 action="Jog it home with its controller's pendant, then resume again.",
             )
         return
-    found = (former[-1] if standing is None else standing).result
-    over = next(key for key in engine.order.sequence if key.name in stand_ins(Relocalization))
     head = workcell.master.flange_from(MountedTool.STEREO_HEAD)
-    scene = planning_scene_of(engine.context(over))
-    assistant.surround(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
+    scene = planning_scene_of(_context_over_head(engine))
+    assistant.surround(scene.with_stereo_head(found, head, None))
+
+
+def _find_head(engine: Engine) -> Transform | None:
+    """Return the coarse pose of the head, robot <- CT: the valid one, or else the last one of old."""
+    standing = engine.case.find(Correspondence, None)
+    former = results_of(Correspondence, engine.case.records)
+    if standing is None and not former:
+        return None
+    return (former[-1] if standing is None else standing).result.robot_from_ct.transform
+
+
+def _context_over_head(engine: Engine) -> StepContext:
+    """Return the context of the first step in which the stereo head looks at the head."""
+    over = next(key for key in engine.order.sequence if key.name in stand_ins(Relocalization))
+    return engine.context(over)
 
 
 def _surround_master(engine: Engine) -> None:
@@ -86,8 +99,11 @@ def _surround_master(engine: Engine) -> None:
     if engine.setting.clinical is None:
         _surround_calibration(engine)
     elif master.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:
-        over = next(key for key in engine.order.sequence if key.name in stand_ins(Relocalization))
-        surround_stereo_head(engine.context(over), master.joints_rad())  # where the way out begins
+        surround_stereo_head(_context_over_head(engine), master.joints_rad())  # where the way out begins
+    elif (former := _find_former_head(engine)) is not None:
+        tool = master.flange_from(MountedTool.STEREO_HEAD)
+        scene = planning_scene_of(_context_over_head(engine))
+        master.surround(scene.with_stereo_head(former, tool, None), master.joints_rad())
     elif (guide := _find_guide_registration(engine)) is not None:
         surround_guide(engine.context(guide.key), guide.robot_from_ct, master.joints_rad())
     elif not master.place.is_home:
@@ -98,9 +114,17 @@ def _surround_master(engine: Engine) -> None:
 
 
 def has_head_moved(engine: Engine) -> bool:
-    """Whether the guide was positioned by a registration that is no longer valid."""
+    """Whether the arm is, or the guide was, where only a result that is no longer valid has the head."""
     guide = _find_guide_registration(engine)
-    return guide is not None and not guide.is_valid
+    return _find_former_head(engine) is not None if guide is None else not guide.is_valid
+
+
+def _find_former_head(engine: Engine) -> Transform | None:
+    """Return the last pose of a head that the stereo head has come to, if it is no longer valid."""
+    master = engine.setting.workcell.master
+    if engine.setting.clinical is None or master.tool is not MountedTool.STEREO_HEAD or master.place.is_home:
+        return None
+    return None if engine.case.find(Correspondence, None) is not None else _find_head(engine)
 
 
 def find_guide_axis(engine: Engine) -> tuple[InsertionAxis, float] | None:

@@ -19,6 +19,22 @@ from procedures.operator.question import NO, YES, Question, Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.planning.free_angle import BY_ACCURACY
 from procedures.registration.errors import NO_UNIQUE_MATCH, HeadElsewhere
+from procedures.registration.surface.errors import (
+    CARRIED_DIFFERS,
+    FAR_FROM_START,
+    HEAD_MOVED,
+    LITTLE_COVERAGE,
+    MIRRORED_HEAD,
+    MUCH_EXCLUDED,
+    NO_STATIONS,
+    NOTHING_LIT,
+    OTHER_HEAD,
+    POORLY_DETERMINED,
+    SKIN_CHANGED,
+    SPHERE_MOVED,
+    SPHERE_UNSEEN,
+    TWO_POSES,
+)
 from procedures.relocalization.errors import SERVO_DIVERGES, SERVO_EXHAUSTED, Saturated
 from procedures.steps.errors import CART_NOT_LOCKED, CART_OUT_OF_PLACE, DEPTH_STOP_WRONG, ToolBesideGauge
 from procedures.workcell.errors import SPHERE_NOT_FOUND, WrongTool
@@ -173,7 +189,7 @@ SPHERE_FAILED = Branch(
 WRONG_SPHERE = Branch(
     "a sphere is not where the tracker saw it",
     "fine against coarse position, 3 mm",
-    ("relocalization",),
+    ("relocalization", "surface_scan"),
     "wrong sphere, or the patient moved: localize with the tracker again",
     (GateFailed,),
 )
@@ -199,7 +215,7 @@ REFERENCE_MOVED = Branch(
     "the patient's reference has moved: head, cart or tracker",
     "known spheres and the frame on the arm, at rest before and after motions; the spheres also while the "
     "guide moves and while it is at its target",
-    ("relocalization", "tool_change", "positioning", "at_target", "retreat", "confirmation"),
+    ("relocalization", "surface_scan", "tool_change", "positioning", "at_target", "retreat", "confirmation"),
     "the arm stops; the localization is void: the arm goes home, the stereo head is mounted again and "
     "the tracker localizes again. After a small move with the guide mounted, only the registrations "
     "are void, and may follow the move",
@@ -209,7 +225,7 @@ REFERENCE_UNDECIDED = Branch(
     "the head with its clamp, or the tracker, was moved while the arm was in a pose not seen before",
     "the patient's frame on the clamp and the spheres, which have moved as one; the frame on the arm tells "
     "which it was only where the arm has rested before",
-    ("relocalization", "positioning", "retreat"),
+    ("relocalization", "surface_scan", "positioning", "retreat"),
     "the arm stops and nothing is void; from home, the next look follows a pushed tracker, or names the "
     "head that has moved",
     (RoomUndecided,),
@@ -218,7 +234,10 @@ CART_MOVED = Branch(
     "a cart or the tracker has moved; whatever depends on its position is void",
     "the frame on the arm according to tracker and arm, as above; during motions with the guide and at the "
     "target from 10 mm on",
-    ("relocalization", "tool_change", "tool_check", "positioning", "at_target", "retreat", "confirmation"),
+    (
+        *("relocalization", "surface_scan", "tool_change", "tool_check", "positioning", "at_target"),
+        *("retreat", "confirmation"),
+    ),
     "if the operator agrees, the arm goes home, the cart is locked again and the case continues from "
     "the global localization; CT, plan and finished targets remain valid. If all are finished, the arm "
     "goes home and the case ends. While an instrument is or may be inside, nobody is asked and nothing moves",
@@ -262,11 +281,95 @@ CORRECTION_BEYOND = Branch(
 BEYOND_MARGIN = Branch(
     "the predicted error at a target exceeds the plan's margin",
     "propagation of all errors to the target",
-    ("registration",),
+    ("registration", "surface_registration"),
     "the trajectory is refused; the others continue without it if the operator agrees",
     (GateFailed,),
     Topic.MARGIN,
     (LEAVE_OUT, HOLD),
+)
+UNLIKE_LANDMARKS = Branch(
+    "nose and ears, as touched, do not fit the head in the CT, or put it elsewhere than planned",
+    "rms of the landmarks about their fit, and the place of the head it gives",
+    ("surface_start",),
+    "the one that fits worst is named, or left and right as exchanged; they are touched again",
+    (GateFailed, HeadElsewhere),
+)
+MIRRORED_SKIN = Branch(
+    "left and right of the CT are exchanged",
+    "the mark of an entry, touched; then the mirror image of the scan, which must not fit better",
+    ("surface_start", "surface_registration"),
+    "nothing moves; patient, CT and its export are compared",
+    (MIRRORED_HEAD,),
+)
+UNPAIRED_BESIDE_SKIN = Branch(
+    "a sphere beside the skin is not seen by the tracker, or two could be exchanged",
+    "readings near the places where nose and ears put the spheres",
+    ("surface_start",),
+    "the sphere is named; view and landmarks are checked, and the tracker localizes again",
+    (SPHERE_UNSEEN,),
+)
+FEW_LOOKS = Branch(
+    "the arm can look at few places on the skin",
+    "number of looks in reach, with clear ways",
+    ("path_check",),
+    "nothing moves; the head is turned, or the cart placed elsewhere",
+    (NO_STATIONS,),
+)
+DARK_SCAN = Branch(
+    "no look at the skin shows the line of light",
+    "pairs of pictures with the light and without",
+    ("surface_scan",),
+    "nothing is registered; projector and cameras are checked, and the skin is scanned again",
+    (NOTHING_LIT,),
+)
+UNMEASURED_BESIDE_SKIN = Branch(
+    "the stereo head cannot measure a sphere beside the skin",
+    SPHERE_FAILED.detected_by,
+    ("surface_scan",),
+    "the sphere is named; with so few none is left out. A new run can register on the skin alone",
+    SPHERE_FAILED.errors,
+)
+LITTLE_SKIN = Branch(
+    "the scan covers too little bare skin, leaves a target undetermined, or fits in two poses",
+    "share of the head above the jaw, of hair and other bodies; predicted error; the second best pose",
+    ("surface_registration",),
+    "more of the head is bared or turned into view, and scanned again",
+    (LITTLE_COVERAGE, MUCH_EXCLUDED, POORLY_DETERMINED, TWO_POSES),
+)
+UNLIKE_SKIN = Branch(
+    "the scan does not have the shape of the head in the CT, or puts its landmarks elsewhere",
+    "distance of the scan from the skin, and of the landmarks from where they were touched",
+    ("surface_registration",),
+    "patient, CT, drapes and landmarks are checked, and the skin is scanned again",
+    (OTHER_HEAD, FAR_FROM_START),
+)
+LOOKS_DISAGREE = Branch(
+    "the head moved while it was scanned",
+    "looks before against looks after, each moved rigidly, against what skin explains",
+    ("surface_registration",),
+    "the look is named; clamp and brakes are checked, and the skin is scanned again",
+    (HEAD_MOVED,),
+)
+SKIN_MOVED = Branch(
+    "the skin is not where it was in the CT over a large part of the scan",
+    "patches of the scan that all lie on one side of the skin, against its usual misfit",
+    ("surface_registration",),
+    "the parts are named; what presses on them is taken off, and the skin is scanned again",
+    (SKIN_CHANGED,),
+)
+SPHERE_OFF_SKIN = Branch(
+    "a sphere is not where the skin, and the other spheres, have it",
+    "its place against the one predicted without it",
+    ("surface_registration",),
+    "the sphere is named; none is left out in the same run",
+    (SPHERE_MOVED,),
+)
+CARRIED_ELSEWHERE = Branch(
+    "after a small move of the clamp, the skin is not where its frame has carried the registration",
+    "six looks at skin that was scanned before, point by point",
+    ("surface_registration",),
+    "the landmarks are touched again, and the whole skin is scanned",
+    (CARRIED_DIFFERS,),
 )
 UNREACHABLE = Branch(
     "a trajectory cannot be reached with its strategy: out of range, singular, not seen, or not clear "

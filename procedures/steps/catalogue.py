@@ -138,6 +138,14 @@ def clinical_steps(
     return _with_stand_ins(steps)
 
 
+def name_every_step() -> Mapping[str, StepSpec[StepResult]]:
+    """Return the steps of all cases by their names, whatever arms, options and fiducials these have."""
+    changes = (*BY_ROLE.values(), MEASURING_TARGETS, SCANNING, *BY_FIDUCIALS.values(), {})
+    return {
+        one.name: one for step in CLINICAL_STEPS for change in changes for one in change.get(step, (step,))
+    }
+
+
 def _with_stand_ins(steps: Steps) -> Steps:
     """Let each step read, for a result, the one of a step in between that stands in for it."""
     found: list[StepSpec[StepResult]] = []

@@ -43,6 +43,14 @@ SIMULATED = (
 
 ConfigOption = Annotated[Path | None, Option(metavar="FILE", help="Theatre file with the endpoints to use.")]
 
+StartOption = Annotated[
+    HeadStart,
+    Option(
+        help="On the skin: nose and ears touched with a pointer, or a few looks first, where the head was "
+        "measured roughly."
+    ),
+]
+
 
 class FiducialChoice(StrEnum):
     """Type of markers on the patient, or the surface of the head instead."""
@@ -207,13 +215,7 @@ class CaseOptions(TheatreOptions):
         ),
     ] = FiducialChoice.FREE
     strategy: Annotated[str, Option(metavar="|".join(STRATEGY_NAMES), help=STRATEGY_HELP)] = DEFAULT_STRATEGY
-    start: Annotated[
-        HeadStart,
-        Option(
-            help="On the skin: nose and ears touched with a pointer, or a few looks first, where the head "
-            "was measured roughly."
-        ),
-    ] = HeadStart.LANDMARKS
+    start: StartOption = HeadStart.LANDMARKS
     localizer: Annotated[
         Localizer, Option(help="Finds the spheres in the CT; a thesis localizer is not for clinical use.")
     ] = Localizer.OURS
@@ -323,14 +325,6 @@ class CaseOptions(TheatreOptions):
                 expected="a case with two arms",
                 got=self.assistant_arm if "--assistant-arm" in given else None,
                 action=f"Add --dual, or omit {given}.",
-            )
-        if self.fiducials in (FiducialChoice.SURFACE, FiducialChoice.MIXED) and (
-            given := self._list_changed_options(("dual", "intraoperative"))
-        ):
-            raise UsageMistake(
-                f"{given} and --fiducials {self.fiducials} cannot be combined",
-                expected="one arm, and the CT that the skin is registered to",
-                action=f"Omit {given}.",
             )
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")

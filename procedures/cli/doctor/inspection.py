@@ -17,6 +17,7 @@ from procedures.planning.errors import SPHERES_NOT_TRACKED
 from procedures.planning.tool_records import ToolRecords, check_patient_frame
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import tools
+from procedures.workcell.line_look import require_scanner
 from procedures.workcell.stereo_look import FURTHER_TRIES
 from procedures.workcell.tracker_look import add_frame_spheres, find_frame_name
 from ronna_hw.calibration import StereoHeadCalibration
@@ -27,7 +28,7 @@ from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.probing import Diagnostic, fact_diagnostics, picture_diagnostics, refusal
 from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.robot import ConfirmedStart
-from ronna_hw.devices.sensors import reports_strays
+from ronna_hw.devices.sensors import line_projector, reports_strays
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.roles import ASSISTANT, MASTER, TWO_ARMS
@@ -41,7 +42,11 @@ TURN_FRAME = "Clear the line of sight between the tracker and the head clamp; tu
 TURN_CART = "Clear the line of sight between the tracker and the arm; turn the cart or the tracker."
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
-LEAST_SPHERES = 3  # for a registration
+LEAST_SPHERES = 3  # for a registration by spheres alone
+FEW_SPHERES = (
+    f"A case by spheres alone needs at least {LEAST_SPHERES} on the head; one that scans the skin, those of "
+    "its plan, or none."
+)
 OF_ONE_OF_ITS_MODEL = (
     "Controller and record do not both name a serial number: that [calibration.{}] is of this very arm, not "
     "of another of its model, was not checked."
@@ -227,6 +232,10 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
             head = None if calibrations is None else calibrations.stereo_head
             judge_pair = partial(pair_diagnostics, subject, head=head)
             yield from picture_diagnostics(subject, device, PAIRS_LOOKED_AT, 1 + FURTHER_TRIES, judge_pair)
+            if line_projector(device) is not None:  # a case by spheres can begin without
+                patient_frame = theatre.procedure.patient_frame
+                can_scan = partial(require_scanner, device, patient_frame, calibrations)
+                yield replace(run_check(f"{subject}scan of the skin", "possible", can_scan), well=True)
         if isinstance(device, ConfirmedStart) and (words := device.to_confirm) is not None:
             yield Diagnostic(f"{subject}start", True, f"a person will be asked to confirm: {words}")
 
@@ -313,7 +322,7 @@ def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFil
         text = f"in {seen} of {len(frames)} frames"
         yield Diagnostic(f"{subject}visibility of {tool}", is_well, text, advice)
     spheres = sorted(len(add_frame_spheres(tracker, frame).strays) for frame in frames)[len(frames) // 2]
-    advice = "" if spheres >= LEAST_SPHERES else f"A case needs at least {LEAST_SPHERES} on the head."
+    advice = "" if spheres >= LEAST_SPHERES else FEW_SPHERES
     text = f"{spheres}" if reports_strays(tracker) else f"{spheres}; only those of tools are reported"
     if not reports_strays(tracker) and find_frame_name(tracker.markers_mm) is None:
         advice = SPHERES_NOT_TRACKED.action

@@ -7,16 +7,18 @@ from dataclasses import dataclass
 
 from procedures.engine.order import Scope
 from procedures.operator.question import FOR_A_PERSON, Topic, join_answers
+from procedures.planning.plan_model import FiducialKind
 from procedures.reporting.run_options import RunOptions
-from procedures.steps.branches import BRANCHES, KEPT_BASES
+from procedures.steps.branches import BRANCHES, HOLD, KEPT_BASES, LEAVE_OUT, SPHERE_COUNT, UNREACHABLE
 from procedures.steps.catalogue import AFTER_STOP, ANSWER_WORDS, clinical_steps
 from ronna_hw.roles import ASSISTANT
 
+NO_STRATEGY = (LEAVE_OUT, HOLD)  # of a trajectory out of reach, where there is no other way to look
 PERSON, ANYBODY = "a person", "a person or the file of answers"
 SUBJECTS: Mapping[Topic, str] = {
     Topic.PATIENT: "right patient, right plan; the identifier on the wristband is typed",
     Topic.RESUME: "the arm's present position becomes its home, if it was left elsewhere",
-    Topic.HEAD_CLAMPED: "head clamped, clamp locked to the table, spheres on",
+    Topic.HEAD_CLAMPED: "head clamped, clamp locked to the table, spheres or patient's frame on",
     Topic.SCANNED: "scan of the head as it is clamped now",
     Topic.CART_LOCKED: "brakes set; leaned on from each side; everyone stands clear",
     Topic.REGISTRATION: "registration, with the predicted error against the accepted one",
@@ -54,11 +56,14 @@ class QuestionRow:
 
 
 def questions_of_course(
-    roles: Sequence[str], *, measure_targets: bool, intraoperative: bool
+    roles: Sequence[str], fiducials: FiducialKind, *, measure_targets: bool, intraoperative: bool
 ) -> tuple[QuestionRow, ...]:
     """List the questions that every case asks, in order."""
     rows: list[QuestionRow] = []
-    for step in clinical_steps(measure_targets=measure_targets, intraoperative=intraoperative, roles=roles):
+    steps = clinical_steps(
+        measure_targets=measure_targets, intraoperative=intraoperative, roles=roles, fiducials=fiducials
+    )
+    for step in steps:
         title = f"{step.title}, at each target" if step.scope is not Scope.CASE else step.title
         for topic in step.asks:
             rows.append(_row(title, topic, SUBJECTS.get(topic, topic.replace("_", " "))))
@@ -66,23 +71,25 @@ def questions_of_course(
     return tuple(rows)
 
 
-def questions_of_branches(roles: Sequence[str]) -> tuple[QuestionRow, ...]:
+def questions_of_branches(roles: Sequence[str], fiducials: FiducialKind) -> tuple[QuestionRow, ...]:
     """List the questions that are asked only if something happens, and the confirmation of a first motion."""
-    steps = {step.name for step in clinical_steps(roles=roles)}
+    steps = {step.name for step in clinical_steps(roles=roles, fiducials=fiducials)}
     first = _row("", Topic.FIRST_MOTION, SUBJECTS[Topic.FIRST_MOTION])
+    without_spheres = fiducials is FiducialKind.SURFACE
     branches = (
-        _row("", branch.topic, branch.event)
+        _row("", branch.topic, branch.event, NO_STRATEGY if branch is UNREACHABLE and without_spheres else ())
         for branch in BRANCHES
         if branch.topic is not None
         and (not branch.steps or steps.intersection(branch.steps))
         and (branch is not KEPT_BASES or ASSISTANT in roles)
+        and not (branch is SPHERE_COUNT and without_spheres)
     )
     return (first, *branches)
 
 
-def _row(step: str, topic: Topic, subject: str) -> QuestionRow:
+def _row(step: str, topic: Topic, subject: str, answers: Sequence[str] = ()) -> QuestionRow:
     by = PERSON if topic in FOR_A_PERSON or topic is Topic.PATIENT else ANYBODY
-    return QuestionRow(step, subject, join_answers(ANSWER_WORDS[topic]), by)
+    return QuestionRow(step, subject, join_answers(answers or ANSWER_WORDS[topic]), by)
 
 
 def describe_answering(options: RunOptions, *, simulated: bool) -> str:

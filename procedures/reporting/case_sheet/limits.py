@@ -15,6 +15,9 @@ from procedures.guards.head_sight import MOST_UNSEEN_S
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM, guide_noticeable_mm
 from procedures.guards.tracker_guards import LATE_S
 from procedures.operator.checkpoint import PATIENCE_S
+from procedures.planning.plan_model import FiducialKind
+from procedures.registration.surface.checks import SurfaceLimits
+from procedures.registration.surface.spheres import MOVED_PROBABILITY
 from procedures.steps.branches import FEWEST_SPHERES
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM
 from procedures.steps.clinical.cart_lock import LOCKED_LIMIT_MM
@@ -22,6 +25,8 @@ from procedures.steps.clinical.error_budget import GATE_CONFIDENCE
 from procedures.steps.clinical.followed_move import MOST_FOLLOWED_RAD
 from procedures.steps.clinical.global_localization import SPREAD_LIMIT_MM
 from procedures.steps.clinical.room import MOST_FOLLOWED_MM
+from procedures.steps.clinical.surface.carried_head import MOST_CARRIED_MM, MOST_CARRIED_RAD, MOST_SLIPPED_MM
+from procedures.steps.clinical.surface.surface_start import READ_MM
 from procedures.steps.clinical.tool_check import TILT_LIMIT_DEG
 from procedures.steps.clinical.two_arms.assisted_insertion import LARGEST_GAP_MM
 from procedures.steps.clinical.two_arms.over_guide import COAXIAL_MM, COAXIAL_RAD
@@ -45,23 +50,30 @@ class LimitRow(NamedTuple):
 
 
 def limits_of_case(
-    cell: CollisionConfig, settings: ProcedureSettings, arm: str, *, dual: bool
+    cell: CollisionConfig,
+    settings: ProcedureSettings,
+    arm: str,
+    fiducials: FiducialKind = FiducialKind.FREE,
+    *,
+    dual: bool,
 ) -> tuple[LimitRow, ...]:
     """List the limits in the order in which a case meets them. `arm` is a model, empty if not known."""
-    rows = (*_before_motion(settings), *_on_the_way(cell), *_at_target(arm))
+    registering = _on_skin(settings, fiducials) if fiducials.has_skin else _by_spheres(settings)
+    before, on_the_way = _before_motion(fiducials), _on_the_way(cell, fiducials)
+    rows = (*before, *registering, *on_the_way, *_at_target(arm))
     return (*rows, *_with_two_arms(settings)) if dual else rows
 
 
-def _before_motion(settings: ProcedureSettings) -> Iterator[LimitRow]:
-    yield LimitRow("one sphere over the tracker's frames", _mm(SPREAD_LIMIT_MM, "rms"), "the step fails")
+def _before_motion(fiducials: FiducialKind) -> Iterator[LimitRow]:
+    if fiducials is not FiducialKind.SURFACE:
+        yield LimitRow("one sphere over the tracker's frames", _mm(SPREAD_LIMIT_MM, "rms"), "the step fails")
     yield LimitRow(
         "cart, leaned on from each side", _mm(LOCKED_LIMIT_MM), "the cart is not locked: the step fails"
     )
-    yield LimitRow(
-        "a sphere by the stereo head from its place by the tracker",
-        _mm(settings.coarse_fine_limit_mm),
-        "the sphere is not taken",
-    )
+
+
+def _by_spheres(settings: ProcedureSettings) -> Iterator[LimitRow]:
+    yield _sphere_by_stereo(settings)
     yield LimitRow(
         "spheres needed to leave one out",
         f"{FEWEST_SPHERES}",
@@ -72,12 +84,46 @@ def _before_motion(settings: ProcedureSettings) -> Iterator[LimitRow]:
         f"{GATE_CONFIDENCE:.1%} of what the stated errors explain",
         "refused; if one sphere explains it, it may be left out",
     )
+    yield _predicted()
+
+
+def _on_skin(settings: ProcedureSettings, fiducials: FiducialKind) -> Iterator[LimitRow]:
+    limits = SurfaceLimits()
     yield LimitRow(
+        "the touched mark of an entry from the plan's", _mm(READ_MM), "the step fails: touch them again"
+    )
+    yield LimitRow("skin above the jaw that is scanned, at least", f"{limits.least_coverage:.0%}", "refused")
+    yield LimitRow("hair and other bodies in the scan", f"{limits.most_hidden:.0%}", "refused")
+    yield LimitRow(
+        "scan from the skin of the CT", _mm(limits.largest_residual_mm, "robust"), "refused: another head"
+    )
+    yield LimitRow("scan with skin that has moved", f"{limits.most_changed:.0%}", "refused")
+    if fiducials is FiducialKind.MIXED:
+        yield _sphere_by_stereo(settings)
+        yield LimitRow(
+            "a sphere from where the skin and the other spheres have it",
+            f"less likely than {MOVED_PROBABILITY:g} by the stated errors",
+            "refused: its screw may have moved",
+        )
+    yield LimitRow("predicted limit of the error at a target", _mm(limits.largest_error_mm), "refused")
+    yield _predicted()
+
+
+def _sphere_by_stereo(settings: ProcedureSettings) -> LimitRow:
+    return LimitRow(
+        "a sphere by the stereo head from its place by the tracker",
+        _mm(settings.coarse_fine_limit_mm),
+        "the sphere is not taken",
+    )
+
+
+def _predicted() -> LimitRow:
+    return LimitRow(
         "predicted error at a target, rms", "the accepted error of the plan", "asked: leave it out, or hold"
     )
 
 
-def _on_the_way(cell: CollisionConfig) -> Iterator[LimitRow]:
+def _on_the_way(cell: CollisionConfig, fiducials: FiducialKind) -> Iterator[LimitRow]:
     zone = cell.zone
     yield LimitRow("clearance along a planned path, at least", _mm(cell.margin_mm), "the path is refused")
     yield LimitRow("clearance of the moving arm, at least", _mm(cell.live_margin_mm), "the arm stops")
@@ -91,11 +137,19 @@ def _on_the_way(cell: CollisionConfig) -> Iterator[LimitRow]:
     yield LimitRow(
         "head moved while the arm moves", _mm(PATIENT_LIMIT_MM, "rms"), "the arm stops; localize again"
     )
-    yield LimitRow(
-        "move of the head that a registration may follow",
-        f"{MOST_FOLLOWED_MM:g} mm and {math.degrees(MOST_FOLLOWED_RAD):g}°",
-        "register again",
-    )
+    if fiducials.has_skin:
+        yield LimitRow(
+            "move of the clamp after which a few looks at the skin are enough",
+            f"{MOST_CARRIED_MM:g} mm and {math.degrees(MOST_CARRIED_RAD):g}°",
+            "touch nose and ears, and scan the whole skin again",
+        )
+        yield LimitRow("slip of the head in its clamp by these looks", _mm(MOST_SLIPPED_MM), "the same")
+    else:
+        yield LimitRow(
+            "move of the head that a registration may follow",
+            f"{MOST_FOLLOWED_MM:g} mm and {math.degrees(MOST_FOLLOWED_RAD):g}°",
+            "register again",
+        )
     yield LimitRow(
         "head unseen near the guide", f"{MOST_UNSEEN_S:g} s", "suspended; asked: wait, go on or leave"
     )

@@ -34,6 +34,7 @@ from procedures.reporting.sections.course import read_course
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere, LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.surface.surface_start import TOUCHED
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import ProcedureSettings, TheatreFile
@@ -137,6 +138,11 @@ class CaseSheet:
         return FIDUCIALS.get(self.plan.fiducials, self.plan.fiducials.value)
 
     @property
+    def touched(self) -> tuple[str, ...]:
+        """Places of the head that are touched with the pointer, in order; none without a scan of the skin."""
+        return (*TOUCHED, "the mark of an entry") if self.plan.fiducials.has_skin else ()
+
+    @property
     def has_predictions(self) -> bool:
         """Whether the error at any target is predicted."""
         return any(one.limit_mm is not None for one in self.trajectories)
@@ -180,13 +186,16 @@ def sheet_of_plan(
         doubtful=tuple(doubtful),
         remarks=tuple(remarks),
         pictures=tuple(pictures[:MOST_PICTURES]),
-        limits=limits_of_case(theatre.cell, theatre.settings, theatre.arm, dual=ASSISTANT in roles),
+        limits=limits_of_case(
+            theatre.cell, theatre.settings, theatre.arm, plan.fiducials, dual=ASSISTANT in roles
+        ),
         questions=questions_of_course(
             roles,
+            plan.fiducials,
             measure_targets=bool(options.values.get("measure_targets")),
             intraoperative=bool(options.values.get("intraoperative")),
         ),
-        branches=questions_of_branches(roles),
+        branches=questions_of_branches(roles, plan.fiducials),
         answering=describe_answering(options, simulated=bool(theatre.banner)),
     )
 

@@ -33,10 +33,9 @@ from procedures.reporting.sections.course import read_course
 from procedures.reporting.sections.header import RunOpening, read_header
 from procedures.reporting.sections.plan import read_plan
 from procedures.reporting.tables import TargetTable, target_rows
-from procedures.steps.catalogue import clinical_steps
+from procedures.steps.catalogue import name_every_step
 from procedures.steps.clinical.ct_import import ImportedCt
 from ronna_hw.notebook_html import table_html
-from ronna_hw.roles import TWO_ARMS
 
 TEMPLATE = "comparison.html.j2"
 FIRST, SECOND = "A", "B"  # as the page calls the runs
@@ -89,8 +88,7 @@ class RunComparison:
     @property
     def step_titles(self) -> dict[str, str]:
         """Titles of the steps of a case, by their names in the journal."""
-        steps = clinical_steps(measure_targets=True, intraoperative=True, roles=TWO_ARMS)
-        return {step.name: step.title for step in steps}
+        return {name: step.title for name, step in name_every_step().items()}
 
     def write(self, out: str | os.PathLike[str]) -> Path:
         """Write the page to a file and return its path. Raises ARG-001, CLI-005 in a run, OSError."""

@@ -59,9 +59,20 @@ class SurfaceSection:
 
     @property
     def told_coverage(self) -> str:
-        """How much of the head the points of the registration cover; before it, those of the scan."""
-        share = self.registration.coverage if self.registration else self.scan.covered if self.scan else 0.0
-        return tell_coverage(share)
+        """How much of the head the points of the registration cover; before it, those of the scan.
+
+        A carried registration has its points from a former scan.
+        """
+        if self.registration is not None and not self.registration.carried:
+            return tell_coverage(self.registration.coverage)
+        return tell_coverage(0.0 if self.scan is None else self.scan.covered)
+
+    @property
+    def placed_by(self) -> str:
+        """What put the points of the scan where the picture of their coverage has them."""
+        if self.start is not None and self.start.carried:
+            return "the clamp's frame"
+        return "the first looks" if self.start is not None and self.start.survey else "the landmarks"
 
 
 def read_surface(reading: RunReading) -> SurfaceSection | None:

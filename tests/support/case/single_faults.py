@@ -618,7 +618,16 @@ ROWS = (
     ),
 )
 # Branches that no single fault of a theatre reaches in a case that begins anew, and what it would take.
+BY_SKIN = "a case that scans the skin"
 ELSEWHERE = {
+    **dict.fromkeys(
+        (
+            *("UNLIKE_LANDMARKS", "MIRRORED_SKIN", "UNPAIRED_BESIDE_SKIN", "FEW_LOOKS", "DARK_SCAN"),
+            *("UNMEASURED_BESIDE_SKIN", "LITTLE_SKIN", "UNLIKE_SKIN", "LOOKS_DISAGREE", "SKIN_MOVED"),
+            *("SPHERE_OFF_SKIN", "CARRIED_ELSEWHERE"),
+        ),
+        BY_SKIN,
+    ),
     "CT_DISAGREEMENT": "a fault of the scanner: the result says so, and the case goes on",
     "CART_MISPLACED": "a proposed place in the folder of the case",
     "MIRRORED_CT": "a CT or a plan that is mirrored before the case begins",

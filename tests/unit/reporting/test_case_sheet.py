@@ -14,9 +14,17 @@ from user_commands import in_this_process, one_error
 from procedures.cli.procedure import app
 from procedures.operator.question import FOR_A_PERSON, Topic
 from procedures.planning.guide import depth_stop_mm
+from procedures.planning.plan_model import FiducialKind
 from procedures.planning.short_numbers import short_plan_number, short_series_number
 from procedures.reporting.case_sheet.answering import SUBJECTS, questions_of_branches, questions_of_course
 from procedures.reporting.case_sheet.sheet import SheetTheatre, sheet_of_plan, sheet_of_run
+from procedures.steps.branches import (
+    BEYOND_MARGIN,
+    CART_MOVED,
+    MOVED_SPHERE,
+    SPHERE_FAILED,
+    UNMATCHED_SPHERE,
+)
 from procedures.steps.catalogue import clinical_steps
 from ronna_hw.collision_config import CollisionConfig, HeadZone
 from ronna_hw.config import ProcedureSettings
@@ -73,12 +81,15 @@ def test_limits_are_those_of_the_theatre_and_depth_stops_those_of_its_guide() ->
     assert "force on the instrument" not in {one.what for one in alone.limits}
 
 
-@pytest.mark.parametrize("roles", [ONE_ARM, TWO_ARMS])
+@pytest.mark.parametrize(
+    ("roles", "fiducials"),
+    [(ONE_ARM, FiducialKind.FREE), (TWO_ARMS, FiducialKind.FREE), (ONE_ARM, FiducialKind.MIXED)],
+)
 def test_every_question_of_the_course_is_worded_and_marked_if_only_a_person_answers(
-    roles: tuple[str, ...],
+    roles: tuple[str, ...], fiducials: FiducialKind
 ) -> None:
-    asked = [topic for step in clinical_steps(roles=roles) for topic in step.asks]
-    rows = questions_of_course(roles, measure_targets=False, intraoperative=False)
+    asked = [topic for step in clinical_steps(roles=roles, fiducials=fiducials) for topic in step.asks]
+    rows = questions_of_course(roles, fiducials, measure_targets=False, intraoperative=False)
     assert [one.subject for one in rows] == [SUBJECTS[topic] for topic in asked]
     personal = [topic in FOR_A_PERSON or topic is Topic.PATIENT for topic in asked]
     assert [one.is_personal for one in rows] == personal
@@ -87,8 +98,19 @@ def test_every_question_of_the_course_is_worded_and_marked_if_only_a_person_answ
 
 def test_a_case_with_one_arm_is_not_asked_about_the_bases_of_two() -> None:
     about = "the bases of two arms are older than a fault of one of them"
-    assert about not in {one.subject for one in questions_of_branches(ONE_ARM)}
-    assert about in {one.subject for one in questions_of_branches(TWO_ARMS)}
+    assert about not in {one.subject for one in questions_of_branches(ONE_ARM, FiducialKind.FREE)}
+    assert about in {one.subject for one in questions_of_branches(TWO_ARMS, FiducialKind.FREE)}
+
+
+@pytest.mark.parametrize("fiducials", [FiducialKind.SURFACE, FiducialKind.MIXED])
+def test_a_case_on_the_skin_is_asked_to_accept_its_registration_and_not_to_leave_out_a_sphere(
+    fiducials: FiducialKind,
+) -> None:
+    rows = questions_of_course(ONE_ARM, fiducials, measure_targets=False, intraoperative=False)
+    assert "Register the CT to the robot by the skin, at each target" in {one.step for one in rows}
+    branches = {one.subject for one in questions_of_branches(ONE_ARM, fiducials)}
+    assert branches >= {BEYOND_MARGIN.event, CART_MOVED.event}
+    assert branches.isdisjoint({SPHERE_FAILED.event, MOVED_SPHERE.event, UNMATCHED_SPHERE.event})
 
 
 def test_the_sheet_says_who_answers_in_this_theatre(registered: Path) -> None:

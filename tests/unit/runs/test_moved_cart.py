@@ -24,8 +24,10 @@ from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.runs.engine_setup import MOST_MOVES, MovedCart
 from procedures.runs.interrupted_run import read_interrupted_run
+from procedures.runs.way_out import has_head_moved, surround_arms
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import cart_lock, correspondence, global_localization, relocalization
+from procedures.steps.clinical.correspondence import Correspondence
 from procedures.workcell import MountedTool
 from ronna_hw.errors import LinkTimeout, RonnaError
 
@@ -215,3 +217,16 @@ def test_a_requested_run_ends_at_the_cart_move(tmp_path: Path) -> None:
     engine.run_to(engine.order.find(f"relocalization:{FIRST}"))
     assert moves_asked(cell) == 1
     assert str(engine.upcoming) == "cart_lock"
+
+
+def test_an_arm_over_a_head_that_has_moved_goes_home_clear_of_where_it_was(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = localizing(cell)
+    engine.run_to(engine.order.find(f"relocalization:{FIRST}"))
+    assert not has_head_moved(engine)
+    engine.void(StepKey(Correspondence.kind), PatientMoved("the head has moved"))
+    assert has_head_moved(engine)
+    surround_arms(engine)
+    engine.retreat_home()
+    assert cell.workcell.master.place.is_home
+    assert not has_head_moved(engine)

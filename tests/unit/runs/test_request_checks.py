@@ -10,17 +10,23 @@ from coded_errors import raises
 from painted_ct import SERIES_UID, write_series
 from pydicom.dataset import Dataset
 
+from procedures.engine.methods import CaseMethods, Matcher
+from procedures.imaging.localizers import Localizer
 from procedures.journal import free_space
 from procedures.planning.errors import WRONG_SERIES
+from procedures.planning.plan_model import FiducialKind
 from procedures.runs import request_checks
 from procedures.runs.fault_script import check_fault_script, list_unreached_faults
 from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
 from procedures.runs.request_checks import (
+    require_fitting_options,
     require_simulated_patient,
     require_space,
 )
+from procedures.strategies.names import STRATEGY_NAMES
 from ronna_hw.command_line.errors import DISK_FULL, UsageMistake
 from ronna_hw.control_port import TRUTH_IS_TOLD
+from ronna_hw.roles import TWO_ARMS
 
 STEPS = ("registration", "at_target")
 
@@ -149,3 +155,43 @@ def test_no_run_is_accepted_in_a_theatre_that_tells_the_truth(tmp_path: Path) ->
         request_checks.check_theatre(request)
     config.write_text('theatre = "simulated"\n')
     request_checks.check_theatre(request)
+
+
+@pytest.mark.parametrize(
+    ("case", "fiducials", "words"),
+    [
+        (CaseProcedure(roles=TWO_ARMS), FiducialKind.MIXED, "--dual and fiducials mixed cannot be combined"),
+        (CaseProcedure(intraoperative=True), FiducialKind.SURFACE, "--intraoperative and fiducials surface"),
+        (CaseProcedure(strategy="nos"), FiducialKind.SURFACE, "--strategy nos has no effect"),
+        (
+            CaseProcedure(methods=CaseMethods(localizer=Localizer.THESIS_LINE)),
+            FiducialKind.SURFACE,
+            "--localizer thesis-line has no effect",
+        ),
+        (
+            CaseProcedure(methods=CaseMethods(matcher=Matcher.THESIS)),
+            FiducialKind.MIXED,
+            "--matcher thesis has no effect",
+        ),
+    ],
+)
+def test_options_that_mean_nothing_with_a_scan_of_the_skin_are_refused(
+    case: CaseProcedure, fiducials: FiducialKind, words: str
+) -> None:
+    with raises(UsageMistake, match=f"CLI-001: {words}.*; expected .* Omit --"):
+        require_fitting_options(case, fiducials)
+    require_fitting_options(case, FiducialKind.FREE)
+
+
+@pytest.mark.parametrize("strategy", STRATEGY_NAMES)
+def test_every_strategy_looks_at_spheres_beside_the_skin(strategy: str) -> None:
+    require_fitting_options(CaseProcedure(strategy=strategy), FiducialKind.MIXED)
+
+
+def test_a_fault_in_a_step_at_spheres_is_refused_for_a_case_on_the_skin(tmp_path: Path) -> None:
+    script = _script(tmp_path, "when step == relocalization: robot drop 5 %\n")
+    request = RunRequest(
+        procedure=CaseProcedure(), choice=SceneChoice("mini", fiducials="surface"), faults=script
+    )
+    with pytest.raises(UsageMistake, match=r"no step 'relocalization'.*surface_scan.*--fiducials"):
+        request_checks.check_case(request, tmp_path / "runs")

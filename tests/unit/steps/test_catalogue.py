@@ -12,7 +12,7 @@ from procedures.cli.case.commands import carry_out, read_command
 from procedures.operator.question import Topic
 from procedures.steps import branches
 from procedures.steps.branches import BRANCHES, Branch, BranchEnding
-from procedures.steps.catalogue import CLINICAL_STEPS, list_questions
+from procedures.steps.catalogue import CLINICAL_STEPS, list_questions, name_every_step
 
 
 def said(tmp_path: Path, command: str, argument: str = "") -> list[str]:
@@ -59,6 +59,6 @@ def test_every_row_is_covered_by_a_test() -> None:
 def test_a_row_names_steps_of_a_case_and_a_question_only_if_it_asks_whose_silence_never_continues(
     row: Branch,
 ) -> None:
-    assert set(row.steps) <= {step.name for step in CLINICAL_STEPS}
+    assert set(row.steps) <= name_every_step().keys()
     assert (row.ending is BranchEnding.ASK) == isinstance(row.topic, Topic) == bool(row.answers)
     assert not row.answers or row.answers[-1] != row.answers[0]

@@ -8,19 +8,14 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.ct_surface import CtSurface, find_bone, find_skin
 from procedures.planning.faced_head import fit_cranium_and_face
-from procedures.registration.surface.errors import (
-    ARM_NOT_CALIBRATED,
-    HALF_A_HEAD,
-    NO_PATIENT_FRAME,
-    NO_PROJECTOR,
-)
+from procedures.registration.surface.errors import HALF_A_HEAD
 from procedures.registration.surface.regions import CHEEKS_MM, HeadAxes
 from procedures.registration.surface.surface import Surface
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import ExcludedSkin, LocalizedFiducials, SkinInCt
 from procedures.steps.conditions import needs_guide_unmounted
-from ronna_hw.devices.sensors import line_projector
+from procedures.workcell.line_look import require_scanner
 
 LEAST_TOLD = 0.01  # of the boundary, for a part that is not used to be told of
 # Depth of the skin below the vertex, scaled to a usual head.
@@ -35,12 +30,7 @@ def run(context: StepContext) -> Outcome[SkinInCt]:
     cannot scan it.
     """
     workcell = context.workcell
-    if line_projector(workcell.stereo) is None:
-        raise NO_PROJECTOR("the stereo head of this theatre has no line projector")
-    if workcell.patient_frame is None:
-        raise NO_PATIENT_FRAME("this theatre has no frame on the head clamp")
-    if workcell.calibrations.arm is None:
-        raise ARM_NOT_CALIBRATED("the arm of this theatre has no calibration record")
+    require_scanner(workcell.stereo, workcell.patient_frame, workcell.calibrations)
     context.result(ImportedCt)
     spheres = context.result(LocalizedFiducials) if LocalizedFiducials in context.reads else None
     skin = skin_of(context)

@@ -46,6 +46,7 @@ def test_looks_at_skin_scanned_before_correct_the_error_of_the_clamp(heads, scan
     assert (after < [one.limit_mm(0.999) for one in errors]).all()
 
 
+@pytest.mark.branch("CARRIED_ELSEWHERE")
 def test_skin_that_slipped_contradicts(heads, scan_of):
     def slip(places):
         near = np.linalg.norm(places - [40.0, -65.0, -58.0], axis=1) < 28.0
@@ -56,6 +57,7 @@ def test_skin_that_slipped_contradicts(heads, scan_of):
         correct_carried(carried(made, made.scan), scanned_again(made, slip)[0], heads[0], TARGETS_MM)
 
 
+@pytest.mark.branch("CARRIED_ELSEWHERE")
 def test_a_head_that_slipped_in_its_clamp_contradicts(heads, scan_of):
     made = scan_of(heads[0], 33, count=300)
     seen, _ = scanned_again(made, lambda places: np.tile([0.0, 3.0, 0.0], (len(places), 1)))
@@ -63,6 +65,7 @@ def test_a_head_that_slipped_in_its_clamp_contradicts(heads, scan_of):
         correct_carried(carried(made, made.scan), seen, heads[0], TARGETS_MM)
 
 
+@pytest.mark.branch("CARRIED_ELSEWHERE")
 def test_looks_at_other_skin_confirm_nothing(heads, scan_of):
     made = scan_of(heads[0], 34, count=300)
     left = made.truth.inverse().apply(made.scan.points_mm)[:, 0]

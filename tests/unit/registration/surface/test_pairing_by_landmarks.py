@@ -46,6 +46,7 @@ def test_a_head_without_spheres_keeps_the_start_of_its_landmarks():
     )
 
 
+@pytest.mark.branch("UNPAIRED_BESIDE_SKIN")
 @pytest.mark.parametrize(
     ("seen_mm", "count", "words"),
     [

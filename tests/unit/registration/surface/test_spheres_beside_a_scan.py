@@ -71,6 +71,7 @@ def test_neither_the_order_of_the_points_nor_that_of_the_spheres_changes_the_pos
     assert poses[0] == pytest.approx(poses[2], abs=1e-9)
 
 
+@pytest.mark.branch("SPHERE_OFF_SKIN")
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_sphere_that_moved_is_refused_by_its_number(heads, scan_of, count):
     made = scan_of(heads[0], 21, misfit_mm=0.1)

@@ -49,6 +49,7 @@ class Mirrored:
         return distances, normals * self.FLIP, valid
 
 
+@pytest.mark.branch("LITTLE_SKIN")
 def test_a_small_patch_is_too_little(heads, scan_of):
     made = scan_of(heads[0], 1, count=300)
     beside = np.linalg.norm(made.truth.inverse().apply(made.scan.points_mm) - [30.0, -80.0, 20.0], axis=1)
@@ -62,6 +63,7 @@ def test_a_scan_that_leaves_a_target_undetermined_is_refused_with_the_direction(
         register_surface(made.scan, heads[0], made.start, limits=SurfaceLimits(largest_error_mm=0.1))
 
 
+@pytest.mark.branch("LITTLE_SKIN")
 def test_a_round_vault_alone_fits_in_two_poses(heads, scan_of):
     made = scan_of(heads[0], 3, views=VAULT)
     above = made.truth.inverse().apply(made.scan.points_mm)[:, 2] > -10.0
@@ -69,6 +71,7 @@ def test_a_round_vault_alone_fits_in_two_poses(heads, scan_of):
         register_surface(made.scan.select(above), heads[0])
 
 
+@pytest.mark.branch("UNLIKE_SKIN")
 def test_another_patient_is_refused(made_head, scan_of):
     made = scan_of(made_head(101), 4)
     other = made_head(102)
@@ -77,6 +80,7 @@ def test_another_patient_is_refused(made_head, scan_of):
         register_surface(made.scan, other, made.start)
 
 
+@pytest.mark.branch("MIRRORED_SKIN")
 def test_a_mirrored_ct_is_refused_where_the_head_is_not_symmetric(made_head, scan_of):
     head = made_head(0, side_mm=12.0)
     made = scan_of(head, 5)
@@ -104,6 +108,7 @@ def test_a_symmetric_head_does_not_prove_its_side(heads, scan_of):
     assert not register_surface(made.scan, heads[0], made.start).side_proven
 
 
+@pytest.mark.branch("LOOKS_DISAGREE")
 def test_a_head_that_moved_between_two_looks_is_refused(heads, scan_of):
     def move(points, look):
         return points + np.where(look >= 2, 1.0, 0.0)[:, None] * [0.7, 0.7, 0.5]
@@ -113,6 +118,7 @@ def test_a_head_that_moved_between_two_looks_is_refused(heads, scan_of):
         register_surface(made.scan, heads[0], made.start)
 
 
+@pytest.mark.branch("SKIN_MOVED")
 def test_skin_that_moved_over_a_third_is_refused_by_name(heads, scan_of):
     made = scan_of(
         heads[0], 8, misfit_mm=0.1, outwards=lambda places: np.where(places[:, 0] > 15.0, 1.5, 0.0)

@@ -159,6 +159,7 @@ def stands_off(cell: ClinicalCell, fiducial: int) -> bool:
     return abs(float(away_mm) - APPROACH_MM) < 0.1
 
 
+@pytest.mark.branch("UNMEASURED_BESIDE_SKIN")
 @pytest.mark.hazard(27)
 @pytest.mark.branch("SPHERE_FAILED")
 def test_a_missing_sphere_ends_the_step_when_too_few_remain(cell: ClinicalCell) -> None:

@@ -29,8 +29,9 @@ from procedures.registration.surface.errors import (
 from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface import Surface
 from procedures.relocalization.errors import NoLine, PairNotUsable
-from procedures.runs.case import require_one_change, strategy_of
+from procedures.runs.case import strategy_of
 from procedures.runs.request import CaseProcedure
+from procedures.runs.request_checks import require_one_change
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.correspondence import Correspondence, MeasuredHead
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -93,9 +94,9 @@ def test_a_start_by_the_scan_measures_the_head_and_looks_before_later_steps_read
 
 def test_a_start_by_the_scan_is_for_the_skin_alone() -> None:
     case = CaseProcedure(methods=CaseMethods(start=HeadStart.SCAN))
-    require_one_change(case, plan().model_copy(update={"fiducials": FiducialKind.SURFACE}))
-    with pytest.raises(UsageMistake, match="--start scan is for the skin alone"):
-        require_one_change(case, plan())
+    require_one_change(case, FiducialKind.SURFACE)
+    with pytest.raises(UsageMistake, match="--start scan and fiducials free cannot be combined"):
+        require_one_change(case, plan().fiducials)
 
 
 def test_without_spheres_no_strategy_looks_at_them_and_with_some_the_chosen_one_does() -> None:
@@ -133,9 +134,9 @@ def test_an_assistant_and_a_scan_of_the_skin_are_not_combined() -> None:
 
 def test_a_theatre_that_cannot_scan_or_watch_the_head_is_refused_first() -> None:
     with raises(NO_PROJECTOR):
-        skin_in_ct.run(context_of(stereo=object(), patient_frame="on clamp"))
+        skin_in_ct.run(context_of(stereo=object(), patient_frame="on clamp", calibrations=None))
     with raises(NO_PATIENT_FRAME):
-        skin_in_ct.run(context_of(stereo=Head(), patient_frame=None))
+        skin_in_ct.run(context_of(stereo=Head(), patient_frame=None, calibrations=None))
     with raises(ARM_NOT_CALIBRATED):
         skin_in_ct.run(
             context_of(stereo=Head(), patient_frame="on clamp", calibrations=SimpleNamespace(arm=None))
@@ -151,6 +152,7 @@ def test_a_ct_that_ends_in_the_middle_of_the_face_is_refused(lowest_mm: float, i
         skin_in_ct.require_face(cast(Surface, SimpleNamespace(points_mm=skin)))
 
 
+@pytest.mark.branch("FEW_LOOKS")
 def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     skin = SimpleNamespace(points_mm=np.zeros((4, 3)), normals=np.zeros((4, 3)))
     kinematics = SimpleNamespace(branch_of=lambda _joints: None)
@@ -169,6 +171,7 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
         surface_paths.run(cast(StepContext, context))
 
 
+@pytest.mark.branch("DARK_SCAN")
 def test_a_scan_without_any_line_is_refused_with_the_reason() -> None:
     with raises(NOTHING_LIT, match="no laser line"):
         surface_scan.require_lines([], {"1": "no laser line in view"})
@@ -262,6 +265,7 @@ def test_a_tape_may_err_by_centimetres_and_a_pointer_may_not() -> None:
         place(TOUCHED_MM + 3.0 * NOSE_BESIDE_MM, BY_TAPE)
 
 
+@pytest.mark.branch("UNLIKE_LANDMARKS")
 @pytest.mark.parametrize(
     ("touched_mm", "code", "said"),
     [
