@@ -35,7 +35,7 @@ from procedures.relocalization.grey_image import (
 )
 from procedures.relocalization.line_course import smooth_course
 from procedures.relocalization.line_profiles import LineProfiles
-from procedures.relocalization.line_ridges import HALVINGS, Ridges, find_ridges, runs_along_rows
+from procedures.relocalization.line_ridges import HALVINGS, Ridges, find_ridges, mark_changes, runs_along_rows
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import MAD_TO_SIGMA, median
 
@@ -159,13 +159,13 @@ def _follow(half: GreyImage, ridges: Ridges, spacing_px: int) -> tuple[Ridges, f
     short = _Groups(own, spacing_px // 4)
     centre, sigma_px = own.column, FIRST_SIGMA_PX
     for about_course in (False, True):
-        score, slope = profiles.answer(centre, 0.5 * sigma_px)
+        score, slope = profiles.weigh(centre, 0.5 * sigma_px).answer
         kept = _mark_lit(score, slope, about_course=about_course)
         centre = short.smooth(centre, score, slope, kept)
         core_px = np.sqrt(max((2.0 * profiles.core_sigma_px(centre)) ** 2 - HALVING_PX2, 0.0))
         sigma_px = float(np.clip(core_px, LEAST_SIGMA_PX, LARGEST_SIGMA_PX))
     column = np.empty(len(ridges.row))
-    for branch in np.unique(ridges.branch):
+    for branch in ridges.branch[mark_changes(ridges.branch)]:
         rows, known = ridges.branch == branch, own.branch == branch
         column[rows] = _interpolate(ridges.row[rows], 2.0 * own.row[known] + 0.5, 2.0 * centre[known] + 0.5)
     return replace(ridges, column=column), sigma_px
@@ -173,8 +173,9 @@ def _follow(half: GreyImage, ridges: Ridges, spacing_px: int) -> tuple[Ridges, f
 
 def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px: int) -> LineImage:
     centre = course.column
-    score, slope = profiles.answer(centre, sigma_px)
-    wide_score, wide_slope = profiles.answer(centre, WIDE_FILTER * sigma_px)
+    seen = profiles.weigh(centre, sigma_px)
+    score, slope = seen.answer
+    wide_score, wide_slope = profiles.weigh(centre, WIDE_FILTER * sigma_px).answer
     kept = _mark_lit(score, slope, about_course=True)
     groups, blocks = _Groups(course, spacing_px), _Groups(course, BLOCK_PX)
     count = groups.add(kept)
@@ -186,7 +187,7 @@ def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px:
     wide = groups.add(np.where(kept, wide_score, 0.0)) / np.maximum(
         groups.add(np.where(kept, wide_slope, 0.0)), TINY
     )
-    seen_px = (1.0 - clipped) * _mottle_shift(groups, profiles.room(centre, sigma_px), score, kept) * over
+    seen_px = (1.0 - clipped) * _mottle_shift(groups, profiles.room(seen), score, kept) * over
     mottle_px = MOTTLE_PER_PX * sigma_px**2
     seen_px /= 1.0 + (seen_px / (LARGEST_MOTTLE * mottle_px)) ** 4
     left_px = max(UNSEEN_MOTTLE * mottle_px, mottle_px - float(np.sqrt(np.mean(seen_px**2))))
@@ -199,7 +200,8 @@ def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px:
     good = (count >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
     x = groups.add(weight * centre) * over + shift - seen_px
     y = groups.add(weight * course.row) * over
-    for branch in np.unique(groups.branch[good]):
+    lit_branches = groups.branch[good]
+    for branch in lit_branches[mark_changes(lit_branches)]:
         own = good & (groups.branch == branch)
         x[own], variance[own] = smooth_course(y[own], x[own], variance[own])
     deviation = np.sqrt(variance + (1.0 - FINE_MOTTLE) * left_px**2)
@@ -226,17 +228,17 @@ class _Groups:
     """Groups of successive rows of a branch."""
 
     def __init__(self, ridges: Ridges, rows: int) -> None:
-        first = np.flatnonzero(np.diff(ridges.branch, prepend=-1))
-        start = np.repeat(ridges.row[first], np.diff(np.append(first, len(ridges.row))))
+        first = np.flatnonzero(mark_changes(ridges.branch))
+        start = np.repeat(ridges.row[first], np.diff(first, append=len(ridges.row)))
         key = ridges.branch * (int(ridges.row.max()) + 1) + (ridges.row - start) // rows
-        is_first = np.diff(key, prepend=-1) != 0
+        is_first = mark_changes(key)
         begins, self.of_row = np.flatnonzero(is_first), np.cumsum(is_first) - 1
         self.branch = ridges.branch[begins]
         self._branch_of_row, self._row = ridges.branch, ridges.row.astype(float)
 
     def add(self, values: NDArray[np.float64] | Mask) -> Array:
         """Return the sum over each group."""
-        return np.bincount(self.of_row, values, len(self.branch)).astype(float)
+        return np.asarray(np.bincount(self.of_row, values, len(self.branch)), dtype=float)
 
     def mean(self, values: Array, kept: Mask) -> Array:
         """Return the mean of the kept rows of each group, zero without any."""
@@ -250,7 +252,7 @@ class _Groups:
         x = self.add(weight * centre + np.where(kept, score, 0.0)) * over
         y = self.add(weight * self._row) * over
         course = centre.copy()
-        for branch in np.unique(self.branch):
+        for branch in self.branch[mark_changes(self.branch)]:
             own, rows = (self.branch == branch) & (total > 0.0), self._branch_of_row == branch
             if own.sum() > 1:
                 course[rows] = _interpolate(self._row[rows], y[own], x[own])
