@@ -44,6 +44,7 @@ BLOCK_PX = 8  # of rows whose scatter is looked at: a grain of speckle is 2 px
 FIRST_SIGMA_PX, LEAST_SIGMA_PX, LARGEST_SIGMA_PX = 8.0, 1.5, 12.0  # of the filter
 WINDOW_SIGMAS = 3.0
 HALVING_PX2 = 0.5  # variance that halving the image and whole columns of it add to the width
+LARGEST_BLEND = 1.5  # of the difference between both filters
 WIDE_FILTER = 1.6  # over the usual one, for the asymmetry
 ASYMMETRY_SHARE = 0.5  # of the shift between both filters; of the error that a tail on one side leaves
 CLIPPED_SHARE = 0.05  # of the filter's width: error of a centre whose whole core is clipped
@@ -184,20 +185,25 @@ def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px:
     total = groups.add(weight)
     over = 1.0 / np.maximum(total, TINY)
     shift = groups.add(np.where(kept, score, 0.0)) * over
-    wide = groups.add(np.where(kept, wide_score, 0.0)) / np.maximum(
-        groups.add(np.where(kept, wide_slope, 0.0)), TINY
-    )
+    wide_weight = np.where(kept, wide_slope, 0.0)
+    wide = groups.add(np.where(kept, wide_score, 0.0)) / np.maximum(groups.add(wide_weight), TINY)
+    glow = wide - shift
+    split = _Split(groups, blocks)
+    near, far = split.means(score, weight), split.means(wide_score, wide_weight)
+    blend = split.blend(near, far)
     seen_px = (1.0 - clipped) * _mottle_shift(groups, profiles.room(seen), score, kept) * over
     mottle_px = MOTTLE_PER_PX * sigma_px**2
     seen_px /= 1.0 + (seen_px / (LARGEST_MOTTLE * mottle_px)) ** 4
     left_px = max(UNSEEN_MOTTLE * mottle_px, mottle_px - float(np.sqrt(np.mean(seen_px**2))))
     variance = (
-        _scatter(groups, blocks, score, weight)
-        + (ASYMMETRY_SHARE * (wide - shift)) ** 2
+        split.variance(near + blend * (far - near))
+        + (ASYMMETRY_SHARE * glow) ** 2
         + (CLIPPED_SHARE * sigma_px * clipped) ** 2
         + FINE_MOTTLE * left_px**2
     )
     good = (count >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
+    lit = total > 0.0
+    shift = shift + blend * np.where(lit, glow - (median(glow[lit]) if lit.any() else 0.0), 0.0)
     x = groups.add(weight * centre) * over + shift - seen_px
     y = groups.add(weight * course.row) * over
     lit_branches = groups.branch[good]
@@ -213,7 +219,7 @@ def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px:
         width_px=np.full(int(good.sum()), sigma_px),
         grey=(total / np.maximum(count, 1.0) / GAUSSIAN_SLOPE)[good],
         clipped=clipped[good],
-        glow_px=np.column_stack([wide - shift, none])[good],
+        glow_px=np.column_stack([glow, none])[good],
     )
 
 
@@ -278,19 +284,39 @@ def _mark_lit(score: Array, slope: Array, *, about_course: bool) -> Mask:
     return np.asarray(lit & (shift < max(OUTLIER_SIGMAS * scale, OUTLIER_FLOOR_PX)))
 
 
-def _scatter(groups: _Groups, blocks: _Groups, score: Array, weight: Array) -> Array:
-    """Return the variance of each group's centre, from blocks of its rows and of its neighbours'."""
-    sums = blocks.add(weight)
-    used = sums > 0.0
-    shift = blocks.add(np.where(weight > 0.0, score, 0.0)) / np.where(used, sums, 1.0)
-    owner = np.zeros(len(sums), np.int64)
-    owner[blocks.of_row] = groups.of_row
-    count = np.bincount(owner, used, len(groups.branch))
-    mean = np.bincount(owner, np.where(used, shift, 0.0), len(groups.branch)) / np.maximum(count, 1)
-    square = np.bincount(owner, np.where(used, (shift - mean[owner]) ** 2, 0.0), len(groups.branch))
-    spare = np.asarray(np.maximum(count - 1.0, 0.0), dtype=float)
-    pooled = _sum_around(np.asarray(square, dtype=float)) / np.maximum(_sum_around(spare), 1.0)
-    return np.asarray(pooled / np.maximum(count, 1.0))
+class _Split:
+    """Groups split into blocks of rows, by whose scatter a group's centre is judged."""
+
+    def __init__(self, groups: _Groups, blocks: _Groups) -> None:
+        self._blocks, self._count = blocks, len(groups.branch)
+        self._owner = np.zeros(len(blocks.branch), np.int64)
+        self._owner[blocks.of_row] = groups.of_row
+
+    def means(self, score: Array, weight: Array) -> Array:
+        """Return what each block is off by, about the mean of its group's; NaN for one without light."""
+        sums = self._blocks.add(weight)
+        shift = self._blocks.add(np.where(weight > 0.0, score, 0.0)) / np.where(sums > 0.0, sums, np.nan)
+        used = np.isfinite(shift)
+        of_group = self._sum(np.where(used, shift, 0.0)) / np.maximum(self._sum(used), 1)
+        return np.asarray(shift - of_group[self._owner])
+
+    def blend(self, near: Array, far: Array) -> float:
+        """Return the share of a second filter with which the blocks of all groups scatter least."""
+        apart = far - near
+        used = np.isfinite(apart)
+        square = float((apart[used] ** 2).sum())
+        return float(np.clip(-(near[used] * apart[used]).sum() / max(square, TINY), 0.0, LARGEST_BLEND))
+
+    def variance(self, off: Array) -> Array:
+        """Return the variance of each group's centre, from its blocks and its neighbours'."""
+        used = np.isfinite(off)
+        count = self._sum(used)
+        square = self._sum(np.where(used, off, 0.0) ** 2)
+        pooled = _sum_around(square) / np.maximum(_sum_around(np.maximum(count - 1.0, 0.0)), 1.0)
+        return np.asarray(pooled / np.maximum(count, 1.0))
+
+    def _sum(self, values: NDArray[np.float64] | Mask) -> Array:
+        return np.asarray(np.bincount(self._owner, values, self._count), dtype=float)
 
 
 def _sum_around(values: Array) -> Array:

@@ -21,7 +21,7 @@ ACROSS_SIGMA, ALONG_SIGMA = 1.5, 3.0  # of the smoothing, against speckle
 WIDEST = 65  # the mean over this width is taken for ambient light
 APART = 17  # two ridges in a row are no closer
 IN_SHADE_OF, SHADED = 65, 5  # near a ridge, one with less than a fifth of its light is its halo
-# Places whose neighbours within `APART` make up the shade; half of that apart, so that it ends with the image.
+# Places whose neighbours within `APART` make up the shade, half of that apart: so it ends with the image.
 REST_OF_SHADE = np.zeros((1, IN_SHADE_OF - APART + 1), np.uint8)
 REST_OF_SHADE[0, :: APART // 2] = 1
 SHORTEST = 6  # rows of a branch
