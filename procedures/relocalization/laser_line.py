@@ -3,7 +3,9 @@
 The centre is where the derivative of a Gaussian as wide as the line, laid across it, sees as much light on
 either side. Such a filter does not see even ambient light, nor the clipped top of a saturated line, and
 little of the halo of light that was scattered in skin. Rows are put together over some spacing along the
-line: one row sees a few grains of speckle only. `line_course` smooths what is left of them along the line.
+line: one row sees a few grains of speckle only. Speckle grows with the light, so that the flanks say more of
+the centre than their light would make them: as much of a wider filter is added as makes the rows agree best.
+`line_course` smooths what is left along the line.
 
 The standard deviation has three parts: the scatter of shorter blocks of rows, longer than a grain of speckle;
 the asymmetry of the profile, seen as the shift between two filters of different width; and the mottle of
@@ -44,7 +46,7 @@ BLOCK_PX = 8  # of rows whose scatter is looked at: a grain of speckle is 2 px
 FIRST_SIGMA_PX, LEAST_SIGMA_PX, LARGEST_SIGMA_PX = 8.0, 1.5, 12.0  # of the filter
 WINDOW_SIGMAS = 3.0
 HALVING_PX2 = 0.5  # variance that halving the image and whole columns of it add to the width
-LARGEST_BLEND = 1.5  # of the difference between both filters
+LARGEST_BLEND = 3.0  # of the difference between both filters; speckle wants 1.5 to 3
 WIDE_FILTER = 1.6  # over the usual one, for the asymmetry
 ASYMMETRY_SHARE = 0.5  # of the shift between both filters; of the error that a tail on one side leaves
 CLIPPED_SHARE = 0.05  # of the filter's width: error of a centre whose whole core is clipped
@@ -203,7 +205,8 @@ def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px:
     )
     good = (count >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
     lit = total > 0.0
-    shift = shift + blend * np.where(lit, glow - (median(glow[lit]) if lit.any() else 0.0), 0.0)
+    usual = median(glow[lit]) if lit.any() else 0.0  # common to the line, as light from inside the skin is
+    shift = shift + blend * np.where(lit, glow - usual, 0.0)
     x = groups.add(weight * centre) * over + shift - seen_px
     y = groups.add(weight * course.row) * over
     lit_branches = groups.branch[good]
