@@ -58,12 +58,13 @@ class LineProfiles:
         self.light -= ends[:, None]
         bright = _cut_windows(grey, ridges.row, start, width)
         self._clipped = bright >= highest_grey(grey) if bright.max() >= highest_grey(grey) else None
-        self._columns = start.astype(np.float32)[:, None] + np.arange(width, dtype=np.float32)
+        columns = start[:, None] + np.arange(width)
+        self._columns: Narrow = columns.astype(np.float32)
         self._room = None if room is None else _cut_windows(room, ridges.row, start, width)
 
     def weigh(self, centre: Array, sigma_px: float) -> WeighedRows:
         """Lay a Gaussian of this width over each row."""
-        t = self._columns - centre[:, None].astype(np.float32)
+        t: Narrow = self._columns - centre[:, None].astype(np.float32)
         t *= np.float32(1.0 / sigma_px)
         bell = t * t
         bell *= np.float32(-0.5)
@@ -106,10 +107,9 @@ class LineProfiles:
 
 def _cut_windows(image: GreyImage, row: NDArray[np.int64], start: NDArray[np.int64], width: int) -> GreyImage:
     """Return `width` pixels of each row, from its start; copied as pieces, not pixel by pixel."""
-    image = np.ascontiguousarray(image)
     rows, columns = image.shape
-    windows = as_strided(image, (rows, columns - width + 1, width), (*image.strides, image.itemsize))
-    cut: GreyImage = windows[row, start]
+    windows = as_strided(image, (rows, columns - width + 1, width), (*image.strides, image.strides[1]))
+    cut: GreyImage = windows[row, start]  # type: ignore[assignment]  # NumPy widens the dtype
     return cut
 
 

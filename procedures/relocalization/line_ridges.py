@@ -86,7 +86,7 @@ def _percentiles(values: NDArray[np.uint16], percentages: tuple[float, ...]) -> 
     """Return percentiles with linear interpolation; whole numbers are sorted fastest by their digits."""
     ordered = np.sort(values, axis=None, kind="stable")
     places = np.array(percentages) / 100.0 * (ordered.size - 1)
-    return np.interp(places, np.arange(ordered.size), ordered).tolist()
+    return [float(each) for each in np.interp(places, np.arange(ordered.size), ordered)]
 
 
 def mark_changes(values: NDArray[np.int64]) -> Mask:
