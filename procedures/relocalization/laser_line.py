@@ -3,7 +3,9 @@
 The centre is where the derivative of a Gaussian as wide as the line, laid across it, sees as much light on
 either side. Such a filter does not see even ambient light, nor the clipped top of a saturated line, and
 little of the halo of light that was scattered in skin. Rows are put together over some spacing along the
-line: one row sees a few grains of speckle only. `line_course` smooths what is left of them along the line.
+line: one row sees a few grains of speckle only. Speckle grows with the light, so that the flanks say more of
+the centre than their light would make them: as much of a wider filter is added as makes the rows agree best.
+`line_course` smooths what is left along the line.
 
 The standard deviation has three parts: the scatter of shorter blocks of rows, longer than a grain of speckle;
 the asymmetry of the profile, seen as the shift between two filters of different width; and the mottle of
@@ -35,7 +37,7 @@ from procedures.relocalization.grey_image import (
 )
 from procedures.relocalization.line_course import smooth_course
 from procedures.relocalization.line_profiles import LineProfiles
-from procedures.relocalization.line_ridges import HALVINGS, Ridges, find_ridges, runs_along_rows
+from procedures.relocalization.line_ridges import HALVINGS, Ridges, find_ridges, mark_changes, runs_along_rows
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import MAD_TO_SIGMA, median
 
@@ -44,6 +46,7 @@ BLOCK_PX = 8  # of rows whose scatter is looked at: a grain of speckle is 2 px
 FIRST_SIGMA_PX, LEAST_SIGMA_PX, LARGEST_SIGMA_PX = 8.0, 1.5, 12.0  # of the filter
 WINDOW_SIGMAS = 3.0
 HALVING_PX2 = 0.5  # variance that halving the image and whole columns of it add to the width
+LARGEST_BLEND = 3.0  # of the difference between both filters; speckle wants 1.5 to 3
 WIDE_FILTER = 1.6  # over the usual one, for the asymmetry
 ASYMMETRY_SHARE = 0.5  # of the shift between both filters; of the error that a tail on one side leaves
 CLIPPED_SHARE = 0.05  # of the filter's width: error of a centre whose whole core is clipped
@@ -159,13 +162,13 @@ def _follow(half: GreyImage, ridges: Ridges, spacing_px: int) -> tuple[Ridges, f
     short = _Groups(own, spacing_px // 4)
     centre, sigma_px = own.column, FIRST_SIGMA_PX
     for about_course in (False, True):
-        score, slope = profiles.answer(centre, 0.5 * sigma_px)
+        score, slope = profiles.weigh(centre, 0.5 * sigma_px).answer
         kept = _mark_lit(score, slope, about_course=about_course)
         centre = short.smooth(centre, score, slope, kept)
         core_px = np.sqrt(max((2.0 * profiles.core_sigma_px(centre)) ** 2 - HALVING_PX2, 0.0))
         sigma_px = float(np.clip(core_px, LEAST_SIGMA_PX, LARGEST_SIGMA_PX))
     column = np.empty(len(ridges.row))
-    for branch in np.unique(ridges.branch):
+    for branch in ridges.branch[mark_changes(ridges.branch)]:
         rows, known = ridges.branch == branch, own.branch == branch
         column[rows] = _interpolate(ridges.row[rows], 2.0 * own.row[known] + 0.5, 2.0 * centre[known] + 0.5)
     return replace(ridges, column=column), sigma_px
@@ -173,8 +176,9 @@ def _follow(half: GreyImage, ridges: Ridges, spacing_px: int) -> tuple[Ridges, f
 
 def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px: int) -> LineImage:
     centre = course.column
-    score, slope = profiles.answer(centre, sigma_px)
-    wide_score, wide_slope = profiles.answer(centre, WIDE_FILTER * sigma_px)
+    seen = profiles.weigh(centre, sigma_px)
+    score, slope = seen.answer
+    wide_score, wide_slope = profiles.weigh(centre, WIDE_FILTER * sigma_px).answer
     kept = _mark_lit(score, slope, about_course=True)
     groups, blocks = _Groups(course, spacing_px), _Groups(course, BLOCK_PX)
     count = groups.add(kept)
@@ -183,23 +187,30 @@ def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px:
     total = groups.add(weight)
     over = 1.0 / np.maximum(total, TINY)
     shift = groups.add(np.where(kept, score, 0.0)) * over
-    wide = groups.add(np.where(kept, wide_score, 0.0)) / np.maximum(
-        groups.add(np.where(kept, wide_slope, 0.0)), TINY
-    )
-    seen_px = (1.0 - clipped) * _mottle_shift(groups, profiles.room(centre, sigma_px), score, kept) * over
+    wide_weight = np.where(kept, wide_slope, 0.0)
+    wide = groups.add(np.where(kept, wide_score, 0.0)) / np.maximum(groups.add(wide_weight), TINY)
+    glow = wide - shift
+    split = _Split(groups, blocks)
+    near, far = split.means(score, weight), split.means(wide_score, wide_weight)
+    blend = split.blend(near, far)
+    seen_px = (1.0 - clipped) * _mottle_shift(groups, profiles.room(seen), score, kept) * over
     mottle_px = MOTTLE_PER_PX * sigma_px**2
     seen_px /= 1.0 + (seen_px / (LARGEST_MOTTLE * mottle_px)) ** 4
     left_px = max(UNSEEN_MOTTLE * mottle_px, mottle_px - float(np.sqrt(np.mean(seen_px**2))))
     variance = (
-        _scatter(groups, blocks, score, weight)
-        + (ASYMMETRY_SHARE * (wide - shift)) ** 2
+        split.variance(near + blend * (far - near))
+        + (ASYMMETRY_SHARE * glow) ** 2
         + (CLIPPED_SHARE * sigma_px * clipped) ** 2
         + FINE_MOTTLE * left_px**2
     )
     good = (count >= LEAST_ROWS * spacing_px) & (variance < LARGEST_DEVIATION_PX**2)
+    lit = total > 0.0
+    usual = median(glow[lit]) if lit.any() else 0.0  # common to the line, as light from inside the skin is
+    shift = shift + blend * np.where(lit, glow - usual, 0.0)
     x = groups.add(weight * centre) * over + shift - seen_px
     y = groups.add(weight * course.row) * over
-    for branch in np.unique(groups.branch[good]):
+    lit_branches = groups.branch[good]
+    for branch in lit_branches[mark_changes(lit_branches)]:
         own = good & (groups.branch == branch)
         x[own], variance[own] = smooth_course(y[own], x[own], variance[own])
     deviation = np.sqrt(variance + (1.0 - FINE_MOTTLE) * left_px**2)
@@ -211,7 +222,7 @@ def _refine(profiles: LineProfiles, course: Ridges, sigma_px: float, spacing_px:
         width_px=np.full(int(good.sum()), sigma_px),
         grey=(total / np.maximum(count, 1.0) / GAUSSIAN_SLOPE)[good],
         clipped=clipped[good],
-        glow_px=np.column_stack([wide - shift, none])[good],
+        glow_px=np.column_stack([glow, none])[good],
     )
 
 
@@ -226,17 +237,17 @@ class _Groups:
     """Groups of successive rows of a branch."""
 
     def __init__(self, ridges: Ridges, rows: int) -> None:
-        first = np.flatnonzero(np.diff(ridges.branch, prepend=-1))
-        start = np.repeat(ridges.row[first], np.diff(np.append(first, len(ridges.row))))
+        first = np.flatnonzero(mark_changes(ridges.branch))
+        start = np.repeat(ridges.row[first], np.diff(first, append=len(ridges.row)))
         key = ridges.branch * (int(ridges.row.max()) + 1) + (ridges.row - start) // rows
-        is_first = np.diff(key, prepend=-1) != 0
+        is_first = mark_changes(key)
         begins, self.of_row = np.flatnonzero(is_first), np.cumsum(is_first) - 1
         self.branch = ridges.branch[begins]
         self._branch_of_row, self._row = ridges.branch, ridges.row.astype(float)
 
     def add(self, values: NDArray[np.float64] | Mask) -> Array:
         """Return the sum over each group."""
-        return np.bincount(self.of_row, values, len(self.branch)).astype(float)
+        return np.asarray(np.bincount(self.of_row, values, len(self.branch)), dtype=float)
 
     def mean(self, values: Array, kept: Mask) -> Array:
         """Return the mean of the kept rows of each group, zero without any."""
@@ -250,7 +261,7 @@ class _Groups:
         x = self.add(weight * centre + np.where(kept, score, 0.0)) * over
         y = self.add(weight * self._row) * over
         course = centre.copy()
-        for branch in np.unique(self.branch):
+        for branch in self.branch[mark_changes(self.branch)]:
             own, rows = (self.branch == branch) & (total > 0.0), self._branch_of_row == branch
             if own.sum() > 1:
                 course[rows] = _interpolate(self._row[rows], y[own], x[own])
@@ -276,19 +287,39 @@ def _mark_lit(score: Array, slope: Array, *, about_course: bool) -> Mask:
     return np.asarray(lit & (shift < max(OUTLIER_SIGMAS * scale, OUTLIER_FLOOR_PX)))
 
 
-def _scatter(groups: _Groups, blocks: _Groups, score: Array, weight: Array) -> Array:
-    """Return the variance of each group's centre, from blocks of its rows and of its neighbours'."""
-    sums = blocks.add(weight)
-    used = sums > 0.0
-    shift = blocks.add(np.where(weight > 0.0, score, 0.0)) / np.where(used, sums, 1.0)
-    owner = np.zeros(len(sums), np.int64)
-    owner[blocks.of_row] = groups.of_row
-    count = np.bincount(owner, used, len(groups.branch))
-    mean = np.bincount(owner, np.where(used, shift, 0.0), len(groups.branch)) / np.maximum(count, 1)
-    square = np.bincount(owner, np.where(used, (shift - mean[owner]) ** 2, 0.0), len(groups.branch))
-    spare = np.asarray(np.maximum(count - 1.0, 0.0), dtype=float)
-    pooled = _sum_around(np.asarray(square, dtype=float)) / np.maximum(_sum_around(spare), 1.0)
-    return np.asarray(pooled / np.maximum(count, 1.0))
+class _Split:
+    """Groups split into blocks of rows, by whose scatter a group's centre is judged."""
+
+    def __init__(self, groups: _Groups, blocks: _Groups) -> None:
+        self._blocks, self._count = blocks, len(groups.branch)
+        self._owner = np.zeros(len(blocks.branch), np.int64)
+        self._owner[blocks.of_row] = groups.of_row
+
+    def means(self, score: Array, weight: Array) -> Array:
+        """Return what each block is off by, about the mean of its group's; NaN for one without light."""
+        sums = self._blocks.add(weight)
+        shift = self._blocks.add(np.where(weight > 0.0, score, 0.0)) / np.where(sums > 0.0, sums, np.nan)
+        used = np.isfinite(shift)
+        of_group = self._sum(np.where(used, shift, 0.0)) / np.maximum(self._sum(used), 1)
+        return np.asarray(shift - of_group[self._owner])
+
+    def blend(self, near: Array, far: Array) -> float:
+        """Return the share of a second filter with which the blocks of all groups scatter least."""
+        apart = far - near
+        used = np.isfinite(apart)
+        square = float((apart[used] ** 2).sum())
+        return float(np.clip(-(near[used] * apart[used]).sum() / max(square, TINY), 0.0, LARGEST_BLEND))
+
+    def variance(self, off: Array) -> Array:
+        """Return the variance of each group's centre, from its blocks and its neighbours'."""
+        used = np.isfinite(off)
+        count = self._sum(used)
+        square = self._sum(np.where(used, off, 0.0) ** 2)
+        pooled = _sum_around(square) / np.maximum(_sum_around(np.maximum(count - 1.0, 0.0)), 1.0)
+        return np.asarray(pooled / np.maximum(count, 1.0))
+
+    def _sum(self, values: NDArray[np.float64] | Mask) -> Array:
+        return np.asarray(np.bincount(self._owner, values, self._count), dtype=float)
 
 
 def _sum_around(values: Array) -> Array:

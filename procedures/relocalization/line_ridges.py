@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.relocalization.grey_image import GreyImage, highest_grey, single_threaded
-from ronna_hw.arrays import Array
+from ronna_hw.arrays import Array, Mask
 
 HALVINGS = 2  # a line is some 15 px wide, and 4 px in the reduced image
 # The rest in pixels of the reduced image
@@ -21,6 +21,9 @@ ACROSS_SIGMA, ALONG_SIGMA = 1.5, 3.0  # of the smoothing, against speckle
 WIDEST = 65  # the mean over this width is taken for ambient light
 APART = 17  # two ridges in a row are no closer
 IN_SHADE_OF, SHADED = 65, 5  # near a ridge, one with less than a fifth of its light is its halo
+# Places whose neighbours within `APART` make up the shade, half of that apart: so it ends with the image.
+REST_OF_SHADE = np.zeros((1, IN_SHADE_OF - APART + 1), np.uint8)
+REST_OF_SHADE[0, :: APART // 2] = 1
 SHORTEST = 6  # rows of a branch
 NOISE_FACTOR = 8.0
 CONTRAST_FLOOR = 0.015  # of the grey range
@@ -51,13 +54,14 @@ def find_ridges(small: GreyImage) -> Ridges:
         fine = (FINER_GREY * smooth).astype(np.uint16)
         ridge = cv2.subtract(fine, cv2.blur(fine, (WIDEST, 1)))
         sample = ridge[::NOISE_SAMPLING, ::NOISE_SAMPLING]
-        low, middle = np.percentile(sample, (LOW_PERCENTILE, MIDDLE_PERCENTILE)).tolist()
+        low, middle = _percentiles(sample, (LOW_PERCENTILE, MIDDLE_PERCENTILE))
         limit = max(middle + NOISE_FACTOR * (middle - low), CONTRAST_FLOOR * FINER_GREY * highest_grey(small))
-        is_peak = (ridge >= cv2.dilate(ridge, np.ones((1, APART), np.uint8))) & (ridge > limit)
-        is_peak &= ridge > cv2.dilate(ridge, np.ones((1, IN_SHADE_OF), np.uint8)) // SHADED
+        beside = cv2.dilate(ridge, np.ones((1, APART), np.uint8))
+        around = cv2.dilate(beside, REST_OF_SHADE)
+        is_peak = (ridge >= beside) & (ridge > limit) & (ridge > around // SHADED)
         joined = cv2.dilate(is_peak.astype(np.uint8), np.ones((3, 3), np.uint8))
         _, labels = cv2.connectedComponents(joined, connectivity=8)
-    rows, columns = np.nonzero(is_peak)
+    rows, columns = np.divmod(np.flatnonzero(is_peak), is_peak.shape[1])
     branches = _trace_branches(rows, columns + first, labels[rows, columns], 2**HALVINGS)
     strongest, limit = float(ridge.max()) / FINER_GREY, limit / FINER_GREY
     if not branches:
@@ -78,6 +82,20 @@ def _crop_to_light(small: GreyImage) -> tuple[int, GreyImage]:
     return first, near
 
 
+def _percentiles(values: NDArray[np.uint16], percentages: tuple[float, ...]) -> list[float]:
+    """Return percentiles with linear interpolation; whole numbers are sorted fastest by their digits."""
+    ordered = np.sort(values, axis=None, kind="stable")
+    places = np.array(percentages) / 100.0 * (ordered.size - 1)
+    return [float(each) for each in np.interp(places, np.arange(ordered.size), ordered)]
+
+
+def mark_changes(values: NDArray[np.int64]) -> Mask:
+    """Mark the first value, and each that differs from the one before."""
+    is_new = np.ones(len(values), bool)
+    np.not_equal(values[1:], values[:-1], out=is_new[1:])
+    return is_new
+
+
 def runs_along_rows(small: GreyImage) -> bool:
     """Return whether the line crosses more columns than rows, and the image should be transposed."""
     low, high = int(small.min()), int(small.max())
@@ -90,9 +108,11 @@ def _trace_branches(
 ) -> list[tuple[NDArray[np.int64], Array]]:
     """Return rows and columns of the whole image for each label with enough rows."""
     branches = []
-    for label in np.unique(labels):
+    for label in np.flatnonzero(np.bincount(labels)):
         own = labels == label
-        at, index = np.unique(rows[own], return_inverse=True)
+        every = rows[own]
+        is_first = mark_changes(every)
+        at, index = every[is_first], np.cumsum(is_first) - 1
         if at[-1] - at[0] + 1 < SHORTEST:
             continue
         middle = np.bincount(index, columns[own]) / np.bincount(index)

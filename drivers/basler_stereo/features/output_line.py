@@ -40,21 +40,22 @@ def prepare_projector(features: Features, projector: ProjectorOptions, camera: s
 def switch_projector(features: Features, projector: ProjectorOptions, camera: str, *, on: bool) -> None:
     """Switch the projector and read the line back; raises GEV-021 if it does not follow.
 
-    With the source ExposureActive the line is low between exposures, also while the projector is on.
+    With the source ExposureActive the line is low between exposures, also while the projector is on. A scan
+    switches hundreds of times, and each register takes a packet there and one back: only what may differ is
+    written.
     """
     source = _find_source(features, projector, camera, on=on)
-    features.choose("LineSelector", projector.line)
     lit_now = on and source != EXPOSURE
     if source != EXPOSURE:
-        if features.has("UserOutputSelector"):
-            features.choose("UserOutputSelector", next(iter(features.entries("UserOutputSelector"))))
+        _select_output(features)
         features.set_number("UserOutputValue", lit_now)
-    features.choose("LineSource", source)
-    level, found_source = bool(features.number("LineStatus")), features.choice("LineSource")
-    if found_source != source:
-        raise OUTPUT_STUCK(
-            f"{projector.line} of the {camera} keeps its source", expected=source, got=found_source
-        )
+    if features.choice("LineSource") != source:
+        features.choose("LineSource", source)
+        if (found := features.choice("LineSource")) != source:
+            raise OUTPUT_STUCK(
+                f"{projector.line} of the {camera} keeps its source", expected=source, got=found
+            )
+    level = bool(features.number("LineStatus"))
     if source != EXPOSURE and level != (lit_now != projector.inverted):
         raise OUTPUT_STUCK(
             f"{projector.line} of the {camera} is {_level(level)} with the projector {'on' if on else 'off'}",
@@ -75,8 +76,17 @@ def missing_line(lines: Collection[str], wanted: str, camera: str) -> str:
     return f"the {camera} has no line {wanted}, only {', '.join(lines) or 'none at all'}"
 
 
+def _select_output(features: Features) -> None:
+    """Select the first of several user outputs; a single one is selected already."""
+    if (
+        features.has("UserOutputSelector")
+        and len(outputs := tuple(features.entries("UserOutputSelector"))) > 1
+    ):
+        features.choose("UserOutputSelector", outputs[0])
+
+
 def _find_source(features: Features, projector: ProjectorOptions, camera: str, *, on: bool) -> str:
-    """Return the entry of LineSource: always the user output while the projector is off."""
+    """Select the line; return the entry of LineSource, always the user output while the projector is off."""
     features.choose("LineSelector", projector.line)
     offered = tuple(features.entries("LineSource"))
     wanted = USER_OUTPUTS if not on or projector.source != EXPOSURE else (EXPOSURE,)
