@@ -34,7 +34,7 @@ START_SIGMAS = 4.0
 MOVED_TURN_RAD, MOVED_MM = np.radians(1.0), 2.0  # of a head or cart that moved between looks (U)
 MOST_SPLITS = 12  # moments of a movement that are tried: the next one is near enough
 MOVED_EVIDENCE = 8.0  # log Bayes factor: one in three thousand, several movements tried
-FEWEST_IN_GROUP = 6
+FEWEST_IN_GROUP = 12  # points on either side of a movement: two for each of its unknowns
 DIRECTIONS = ("left to right", "front to back", "head to feet")  # the axes of the CT
 # Square of the distance of a pose from its landmarks, in their standard deviations: 1 in 100 of six unknowns.
 # Safety against another head, or an arm that errs, which a pose far off fits best. Source: chi-squared.
@@ -132,7 +132,8 @@ def require_still(model: MisfitModel, jacobian: Array, distances_mm: Array, look
     groups = {f"from look {one} on": look >= one for one in numbers[1 :: 1 + len(numbers) // MOST_SPLITS]}
     if len(numbers) <= MOST_SPLITS:
         groups |= {f"at look {one}": look == one for one in numbers[1:-1]}
-    groups = {name: rows for name, rows in groups.items() if rows.sum() >= FEWEST_IN_GROUP}
+    fewest, most = FEWEST_IN_GROUP, len(look) - FEWEST_IN_GROUP
+    groups = {name: rows for name, rows in groups.items() if fewest <= rows.sum() <= most}
     size = np.repeat([MOVED_TURN_RAD, MOVED_MM], 3)
     columns = [jacobian * size * rows[:, None] for rows in groups.values()]
     weighed = weigh_displacements(model, jacobian, distances_mm, columns)
