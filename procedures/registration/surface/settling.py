@@ -24,7 +24,8 @@ RIDGE = 1e-6  # of the mean diagonal: a sphere leaves a turn undetermined, which
 
 PATCH_MM = 12.0  # radius over which neighbours must agree that they are off
 PATCH_LIMIT_MM = 2.0  # skin, even pressed, is nearer; a hand, a drape or hair is not
-STRAY_SIGMAS = 6.0  # of a single point from its neighbours: a gloss or a wrong match, not skin
+# Of a single point from its neighbours, and at least: a gloss or a wrong match, not skin
+STRAY_SIGMAS, STRAY_LIMIT_MM = 6.0, 0.5
 EDGE_MM = 1.0  # points beside a patch that are off by this belong to it
 
 
@@ -121,5 +122,5 @@ def mark_other_bodies(found: Settled) -> Mask:
     grown = np.array([patch[rows].any() for rows in near]) & (np.abs(found.distances_mm) > EDGE_MM)
     beside = np.abs(found.distances_mm - level)
     usual = robust_sigma(beside[np.isfinite(beside)]) if np.isfinite(beside).any() else 0.0
-    stray = beside > max(STRAY_SIGMAS * usual, PATCH_LIMIT_MM)
+    stray = beside > max(STRAY_SIGMAS * usual, STRAY_LIMIT_MM)
     return np.asarray(patch | grown | stray | ~found.valid | (np.abs(found.distances_mm) > NEAR_MM))

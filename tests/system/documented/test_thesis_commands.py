@@ -265,7 +265,7 @@ ELSEWHERE: Mapping[str, str] = {
     "ronna-procedure run --sim --scene mini --fiducials surface": "tests/system/case/"
     "test_case_without_markers.py::"
     "test_a_case_on_the_skin_reaches_its_target_within_its_predicted_error",
-    "ronna-campaign surface --heads 84 --seed 1915": "tests/unit/studies/test_surface_study.py::"
+    "ronna-campaign surface --heads 334 --seed 63872": "tests/unit/studies/test_surface_study.py::"
     "test_a_registration_is_judged_at_its_targets_and_the_same_unit_gives_the_same",
     "python -m benchmarks.surface.same_clouds --python PEERS/bin/python --heads 1": "tests/unit/registration/"
     "surface/test_surface_registration.py::test_closest_points_of_the_thesis_register_the_same_scan",
