@@ -35,6 +35,16 @@ class PlanningScene:
         """Return the scene with additional clearance while the stereo head is mounted."""
         return replace(self, head_reserve_mm=reserve_mm)
 
+    def around_rough_head(self, rough_mm: float) -> PlanningScene:
+        """Return the scene with a head that is larger on all sides, as its place is known no better."""
+        x_mm, y_mm, z_mm = self.head.semi_axes_mm
+        larger_mm = (x_mm + rough_mm, y_mm + rough_mm, z_mm + rough_mm)
+        frame = tuple(
+            one._replace(capsule=one.capsule._replace(radius_mm=one.capsule.radius_mm + rough_mm))
+            for one in self.frame_ct
+        )
+        return replace(self, head=self.head.model_copy(update={"semi_axes_mm": larger_mm}), frame_ct=frame)
+
     def with_stereo_head(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
     ) -> Surroundings:

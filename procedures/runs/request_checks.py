@@ -159,7 +159,7 @@ def require_one_change(case: CaseProcedure, fiducials: FiducialKind) -> None:
         raise UsageMistake(
             f"--start {start} and fiducials {fiducials} cannot be combined",
             expected="the skin alone: what spheres there are, landmarks tell apart",
-            action="Omit --start.",
+            action="Omit --start, or register on the skin: --fiducials surface.",
         )
     if not fiducials.has_skin:
         return
@@ -173,6 +173,18 @@ def require_one_change(case: CaseProcedure, fiducials: FiducialKind) -> None:
                 expected=expected,
                 action=f"Omit {option}, or register by spheres alone: fiducials {FREE}.",
             )
+
+
+def _require_known_head(case: CaseProcedure, theatre: TheatreFile) -> None:
+    """Raise CLI-001 for first looks at a patient whose head was only measured roughly."""
+    from procedures.engine.methods import HeadStart
+
+    if case.methods.start is HeadStart.SCAN and not is_simulated(theatre):
+        raise UsageMistake(
+            "--start scan sends the stereo head to a head whose place nothing but a tape has told",
+            expected="a simulated theatre",
+            action="Omit --start: nose and ears are touched with a pointer.",
+        )
 
 
 def check_case(request: RunRequest, out: Path) -> None:
@@ -191,6 +203,7 @@ def check_case(request: RunRequest, out: Path) -> None:
     if request.config is not None:
         theatre = read_theatre_file(request.config)
         require_one_kind(theatre)
+        _require_known_head(case_procedure, theatre)
         if theatre.procedure.assistant_drills and len(request.roles) == 1:
             tell(f"warning: a hand drills: assistant_drills of {request.config} is for --dual")
         case = case_procedure.case or Path()

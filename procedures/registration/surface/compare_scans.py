@@ -95,7 +95,7 @@ def compare_scans(
     looks = np.unique(thin.look)[None, :, None] == thin.look[:, None, None]
     both_mm = np.sqrt(2.0) * look_mm  # of a look in either scan
     centre, moved = pose.apply(thin.points_mm).mean(axis=0), np.zeros(POSE)
-    for _ in range(MOST_STEPS):
+    for step in range(MOST_STEPS):
         after = Settled.at(pose.moved(moved, centre), thin.points_mm, thin.view_mm, surface)
         usual, noise_mm2, used = _read_before(before, first, kept, after)
         used &= after.valid & (np.abs(after.distances_mm) < NEAR_MM)
@@ -111,7 +111,7 @@ def compare_scans(
         adjustment = Adjustment.of(model, after.jacobian(centre)[used], regions)
         beyond_mm = after.distances_mm - usual
         mixture = adjustment.step(beyond_mm[used])
-        if np.abs(mixture.mean).max() < STILL:
+        if np.abs(mixture.mean).max() < STILL or step == MOST_STEPS - 1:
             break
         moved = moved + mixture.mean
     difference = Settled(after.pose, after.places_mm, beyond_mm, after.normals, after.valid)

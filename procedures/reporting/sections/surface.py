@@ -7,7 +7,7 @@ from pathlib import PurePath
 from typing import Self
 
 from procedures.reporting.run_reading import RunReading
-from procedures.steps.clinical.correspondence import SurfaceStart
+from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart
 from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
 from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, FULL_COLOUR_MM, tell_coverage
@@ -80,9 +80,10 @@ def read_surface(reading: RunReading) -> SurfaceSection | None:
     skin = reading.find(SkinInCt)
     if skin is None:
         return None
+    start = reading.find(SurfaceStart)
     return SurfaceSection(
         skin,
-        reading.find(SurfaceStart),
+        None if isinstance(start, MeasuredHead) else start,
         reading.find(ScannedSurface),
         reading.find(RegisteredBySurface),
     )

@@ -49,7 +49,7 @@ from procedures.steps.clinical.results import ScannedLine, join_lines
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
-from procedures.steps.clinical.surface.look_scanner import LookScanner
+from procedures.steps.clinical.surface.look_scanner import LEFT_OUT, LookScanner
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surface.skin_pictures import tell_coverage
 from procedures.steps.clinical.surface.surface_scan import SMALL_STEPS, read_time_s, require_lines
@@ -58,9 +58,10 @@ from procedures.steps.clinical.surroundings import READS
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.strategies.skin_looks import SKIN
 from procedures.strategies.strategy import ONE_SIDE
-from procedures.workcell import MountedTool
+from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.centring import Centring
 from ronna_hw.arrays import Array
+from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.text import format_count
 
 CANDIDATES, VIEWS, FEWEST_VIEWS = 16, 12, 6  # 8 patches of skin sufficed on six heads of the study
@@ -88,7 +89,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
         return start_carried(carried)
     setting = arm_setting_of(context)
     assert setting.scene is not None  # a case always checks clearance
-    scene = setting.scene.with_reserve(setting.sizes.tool_mm + ROUGH_MM)
+    scene = setting.scene.around_rough_head(ROUGH_MM)
     setting = replace(setting, scene=scene)
     context.progress(0.0, "choosing first looks at the skin")
     looks = choose_looks(context, setting)
@@ -182,14 +183,23 @@ def _take_looks(
             if not seen:
                 dark[str(number + 1)] = scanner.reason
         theatre_s = read_time_s(workcell) - began_s
-        if centring.is_over_sphere:
-            centring.back_off()
-        workcell.master.return_home()
+        _go_home(workcell, centring)
     check_room(context, "after the first looks at the skin")
     for name, reason in dark.items():
         context.find(f"first look {name} at the skin shows no line: {reason}")
     require_lines(lines, dark)
     return lines, theatre_s
+
+
+def _go_home(workcell: Workcell, centring: Centring) -> None:
+    """Bring the arm home; a way back that is not clear must not lose what the looks have shown."""
+    if centring.is_over_sphere:
+        try:
+            centring.back_off()
+        except RonnaError as problem:
+            if not is_error(problem, *LEFT_OUT):
+                raise
+    workcell.master.return_home()
 
 
 def _as_look(number: int, reached: Reached) -> LocalizationPose:
