@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import isinf
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +118,20 @@ class SurfaceStart(Correspondence, kind="surface_start"):
     survey: SurveyedSkin | None = Field(
         default=None, description="First looks at the skin; none if landmarks or the clamp tell the pose."
     )
+
+    @classmethod
+    def without_spheres(cls, robot_from_ct: Transform, **fields: object) -> Self:
+        """Build the result of a head without spheres; what a correspondence says of them is empty."""
+        empty: dict[str, object] = {
+            "status": MatchStatus.UNIQUE,
+            "pairs": (),
+            "robot_from_ct": FramedPose.of(robot_from_ct),
+            "residuals_mm": (),
+            "margin_nats": None,
+            "two_way": verify_two_way(np.empty((0, 3)), np.empty((0, 3)), (), robot_from_ct),
+            "landmarks": (),
+        }
+        return cls.model_validate({**empty, **fields})
 
     @property
     def start(self) -> Start:

@@ -17,13 +17,11 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome
 from procedures.journal.results import FramedPose
 from procedures.operator.question import Question, Topic
-from procedures.registration.correspondence import MatchStatus
 from procedures.registration.surface.compare_scans import compare_scans
 from procedures.registration.surface.errors import CARRIED_DIFFERS, SCANS_APART
 from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.surface import Surface
-from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart
 from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -101,14 +99,8 @@ def _frame_of(localized: GlobalLocalization) -> Transform:
 def start_carried(carried: CarriedHead) -> Outcome[SurfaceStart]:
     """Return a carried registration as the start of the next one: no landmark is touched."""
     return Outcome(
-        SurfaceStart(
-            status=MatchStatus.UNIQUE,
-            pairs=(),
-            robot_from_ct=FramedPose.of(carried.robot_from_ct),
-            residuals_mm=(),
-            margin_nats=None,
-            two_way=verify_two_way(np.empty((0, 3)), np.empty((0, 3)), (), carried.robot_from_ct),
-            landmarks=(),
+        SurfaceStart.without_spheres(
+            carried.robot_from_ct,
             turn_sd_rad=TURN_SD_RAD,
             place_sd_mm=PLACE_SD_MM,
             carried=carried.name,

@@ -6,14 +6,9 @@ enough to keep clear of the head, and to find its skin in a whole picture. It ha
 
 from __future__ import annotations
 
-import numpy as np
-
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.journal.results import FramedPose
-from procedures.registration.correspondence import MatchStatus
 from procedures.registration.surface.starts import Start
-from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical.coarse_match import room_prior
 from procedures.steps.clinical.correspondence import MeasuredHead
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -51,15 +46,9 @@ def run(context: StepContext) -> Outcome[MeasuredHead]:
     start = Start.from_landmarks(in_ct_mm, measured_mm, BY_TAPE.deviation_mm)
     prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
     off_mm = require_fit(in_ct_mm, measured_mm, start.robot_from_ct, prior, deviation_mm=BY_TAPE.deviation_mm)
-    pose = start.robot_from_ct
     return Outcome(
-        MeasuredHead(
-            status=MatchStatus.UNIQUE,
-            pairs=(),
-            robot_from_ct=FramedPose.of(pose),
-            residuals_mm=(),
-            margin_nats=None,
-            two_way=verify_two_way(np.empty((0, 3)), np.empty((0, 3)), (), pose),
+        MeasuredHead.without_spheres(
+            start.robot_from_ct,
             landmarks=list_landmarks(in_ct_mm, measured_mm, off_mm),
             turn_sd_rad=start.turn_rad,
             place_sd_mm=start.place_mm,

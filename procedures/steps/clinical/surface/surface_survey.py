@@ -21,7 +21,6 @@ from procedures.planning.scene import PlanningScene
 from procedures.planning.skin_tour import tour_views
 from procedures.planning.skin_views import choose_views, mark_scannable
 from procedures.planning.visits import ArmSetting, PathCheck, Reached
-from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import RoomPrior
 from procedures.registration.surface.checks import SurfaceLimits, require_start
@@ -32,7 +31,6 @@ from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.starts import Start, pose_of
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.surface_registration import SurfaceRegistration, register_surface
-from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical.coarse_match import room_prior
 from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart, SurveyedSkin
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -108,14 +106,8 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     used_mm = found.residuals_mm[~found.excluded]
     shown = len({line.look for line in lines})
     return Outcome(
-        SurfaceStart(
-            status=MatchStatus.UNIQUE,
-            pairs=(),
-            robot_from_ct=FramedPose.of(pose),
-            residuals_mm=(),
-            margin_nats=None,
-            two_way=verify_two_way(np.empty((0, 3)), np.empty((0, 3)), (), pose),
-            landmarks=(),
+        SurfaceStart.without_spheres(
+            pose,
             turn_sd_rad=TURN_SD_RAD,
             place_sd_mm=PLACE_SD_MM,
             site=site,
