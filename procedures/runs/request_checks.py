@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.engine.methods import CaseMethods, HeadStart
 from procedures.journal.free_space import NO_DISK, describe_shortage
 from procedures.runs.fault_script import check_fault_script
 from procedures.runs.request import FREE, PATIENT_SCENES, CaseProcedure
@@ -151,7 +152,6 @@ def require_one_change(case: CaseProcedure, fiducials: FiducialKind) -> None:
 
     The same holds for a start by the scan of a head with spheres.
     """
-    from procedures.engine.methods import HeadStart
     from procedures.planning.plan_model import FiducialKind
 
     start = case.methods.start
@@ -177,7 +177,6 @@ def require_one_change(case: CaseProcedure, fiducials: FiducialKind) -> None:
 
 def _require_known_head(case: CaseProcedure, theatre: TheatreFile) -> None:
     """Raise CLI-001 for first looks at a patient whose head was only measured roughly."""
-    from procedures.engine.methods import HeadStart
 
     if case.methods.start is HeadStart.SCAN and not is_simulated(theatre):
         raise UsageMistake(
@@ -195,7 +194,8 @@ def check_case(request: RunRequest, out: Path) -> None:
         from procedures.strategies.catalogue import find_strategy
 
         find_strategy(case_procedure.strategy)
-    if request.config is None and not request.choice.has_own_fiducials:
+    is_usual = request.choice.fiducials == FREE and case_procedure.methods.start == CaseMethods().start
+    if request.config is None and not request.choice.has_own_fiducials and not is_usual:
         from procedures.planning.plan_model import FiducialKind
 
         require_fitting_options(case_procedure, FiducialKind(request.choice.fiducials))

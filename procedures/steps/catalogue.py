@@ -140,7 +140,8 @@ def clinical_steps(
 
 def name_every_step() -> Mapping[str, StepSpec[StepResult]]:
     """Return the steps of all cases by their names, whatever arms, options and fiducials these have."""
-    changes = (*BY_ROLE.values(), MEASURING_TARGETS, SCANNING, *BY_FIDUCIALS.values(), {})
+    on_skin = (*BY_FIDUCIALS.values(), *STARTS_ON_SKIN.values())
+    changes = (*BY_ROLE.values(), MEASURING_TARGETS, SCANNING, *on_skin, {})
     return {
         one.name: one for step in CLINICAL_STEPS for change in changes for one in change.get(step, (step,))
     }

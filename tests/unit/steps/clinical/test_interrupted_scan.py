@@ -83,7 +83,8 @@ class Scan:
                 scan.taken.append(self.number)
                 return [] if self.number == DARK else [line_of(self.number)]
 
-        monkeypatch.setattr(surface_scan, "_Scanner", Scanner)
+        monkeypatch.setattr(surface_scan, "LookScanner", Scanner)
+        monkeypatch.setattr(surface_scan, "Centring", lambda *_arguments: None)
 
     def take(self) -> tuple[ScannedLook, ...]:
         looks = [SimpleNamespace(tool_pose=SimpleNamespace(transform=at(one))) for one in range(LOOKS)]
@@ -96,6 +97,7 @@ class Scan:
             StepContext,
             SimpleNamespace(
                 workcell=self.cell,
+                setting=SimpleNamespace(settings=SimpleNamespace(approach_mm=50.0)),
                 result=lambda _model: result,
                 identifier=lambda _model: self.paths,
                 served_trajectories=("T1",),
