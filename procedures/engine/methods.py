@@ -16,7 +16,7 @@ NOT_CLINICAL = "not for clinical use"
 
 
 class HeadStart(StrEnum):
-    """What a case on the skin knows of the head before its scan."""
+    """Source of the head's coarse pose before a scan of the skin."""
 
     LANDMARKS = "landmarks"  # nose and ears, touched with a pointer
     SCAN = "scan"  # a few looks, taken where somebody has measured the head roughly

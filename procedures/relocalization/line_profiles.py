@@ -35,7 +35,7 @@ class WeighedRows:
 
     @property
     def answer(self) -> tuple[Array, Array]:
-        """What each row shows more on the right, and how that grows per px with the centre."""
+        """Excess of light on the right in each row, and its slope per px with the centre."""
         moved = self.places * self.light
         score = np.einsum("ij->i", moved).astype(float)
         slope = (self.total - np.einsum("ij,ij->i", self.places, moved)).astype(float) / self.sigma_px

@@ -26,9 +26,8 @@ DISC_EDGE_MM = 2.0  # of the logistic function across its edge: nine tenths of i
 FEWEST_IN_REGION = 6
 MOST_REGIONS = 200  # in the adjustment
 SCORED = {(Roughness.ROUGH, 40.0), (Roughness.SMOOTH, 20.0)}  # hypotheses, by which these are chosen
-LEAST_CHANGE_MM = (
-    0.2  # expected, the chance that it moved counted in; a smaller one is a misfit like any other
-)
+# Expected, the chance that it moved counted in; a smaller change is a misfit like any other.
+LEAST_CHANGE_MM = 0.2
 
 
 @dataclass(frozen=True, eq=False)

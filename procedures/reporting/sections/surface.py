@@ -69,7 +69,7 @@ class SurfaceSection:
 
     @property
     def placed_by(self) -> str:
-        """What put the points of the scan where the picture of their coverage has them."""
+        """Source of the pose by which the picture of the coverage places the points of the scan."""
         if self.start is not None and self.start.carried:
             return "the clamp's frame"
         return "the first looks" if self.start is not None and self.start.survey else "the landmarks"

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from procedures.engine.context import StepContext
+from procedures.registration.surface.errors import NOTHING_LIT
 from procedures.relocalization.triangulation import camera_model
 from procedures.room.sighting import Tracked
 from procedures.steps.clinical.path_check import LocalizationPose
 from procedures.steps.clinical.results import UPPER, ScannedLine
 from procedures.steps.clinical.room import check_room
+from procedures.workcell import Workcell
 from procedures.workcell.centring import Centring
 from procedures.workcell.line_look import LineLook
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
@@ -19,6 +21,7 @@ from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.vectors import vector3
 
+SMALL_STEPS = "the small steps across each place on the skin"
 ACROSS_MM = (-9.0, -3.0, 3.0, 9.0)  # places of the line across a look, along the tool's y axis
 CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
 DECIMALS = 4  # of a point in the record, mm
@@ -76,6 +79,21 @@ class LookScanner:
             view_mm=vector3(_rounded(pose.apply(view_mm))),
             points_mm=_rounded(pose.apply(found.points_mm)).tolist(),
             covariances_mm2=_upper(turn @ found.covariance_mm2 @ turn.T).tolist(),
+        )
+
+
+def read_time_s(workcell: Workcell) -> float:
+    """Return the theatre time of a reading: a replay has no other."""
+    workcell.master.joints_rad()
+    return workcell.clock.now_s()
+
+
+def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str]) -> None:
+    """Raise SRF-032 without any line; `dark` has the reasons by look."""
+    if not lines:
+        reason = next(iter(dark.values()), "") or "nothing"
+        raise NOTHING_LIT(
+            f"no look shows the line: {reason}", expected="a line", got=f"{len(dark)} dark looks"
         )
 
 

@@ -6,13 +6,12 @@ errs there its points share, and the registration accounts for it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.registration.surface.errors import NOTHING_LIT
 from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.path_check import (
@@ -24,19 +23,23 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import arriving, begin_looks, localize_spheres
 from procedures.steps.clinical.results import ScannedLine, ScannedLook, ScannedSurface
 from procedures.steps.clinical.room import ROOM_READS, check_room
-from procedures.steps.clinical.surface.look_scanner import LookScanner
+from procedures.steps.clinical.surface.look_scanner import (
+    SMALL_STEPS,
+    LookScanner,
+    read_time_s,
+    require_lines,
+)
 from procedures.steps.clinical.surface.scan_coverage import ScanCoverage, describe_scan
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, draw_coverage, tell_coverage
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.strategies.skin_looks import SKIN
-from procedures.workcell import MountedTool, Workcell
+from procedures.workcell import MountedTool
 from procedures.workcell.centring import Centring
 from ronna_hw.arrays import Array
 
 LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
-SMALL_STEPS = "the small steps across each place on the skin"
 OF_LINES = ("lines", "planned_looks", "dark", "covered", "theatre_s", "kept_looks")  # of the result
 
 
@@ -151,25 +154,10 @@ def _take_looks(
     return tuple(looks)
 
 
-def read_time_s(workcell: Workcell) -> float:
-    """Return the theatre time of a reading: a replay has no other."""
-    workcell.master.joints_rad()
-    return workcell.clock.now_s()
-
-
 def _points_in_ct(context: StepContext, lines: Sequence[ScannedLine]) -> Array:
     """Return the points (n, 3) of lines in the CT, by the start of the registration."""
     ct_from_robot = context.result(SurfaceStart).robot_from_ct.transform.inverse()
     return np.asarray(ct_from_robot.apply(np.concatenate([line.points_mm for line in lines])))
-
-
-def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str]) -> None:
-    """Raise SRF-032 without any line; `dark` has the reasons by look."""
-    if not lines:
-        reason = next(iter(dark.values()), "") or "nothing"
-        raise NOTHING_LIT(
-            f"no look shows the line: {reason}", expected="a line", got=f"{len(dark)} dark looks"
-        )
 
 
 STEP = StepSpec(

@@ -47,10 +47,15 @@ from procedures.steps.clinical.results import ScannedLine, join_lines
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
-from procedures.steps.clinical.surface.look_scanner import LEFT_OUT, LookScanner
+from procedures.steps.clinical.surface.look_scanner import (
+    LEFT_OUT,
+    SMALL_STEPS,
+    LookScanner,
+    read_time_s,
+    require_lines,
+)
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surface.skin_pictures import tell_coverage
-from procedures.steps.clinical.surface.surface_scan import SMALL_STEPS, read_time_s, require_lines
 from procedures.steps.clinical.surface.surface_start import tell_site, touch_site
 from procedures.steps.clinical.surroundings import READS
 from procedures.steps.conditions import REMOUNTED, needs_tool
@@ -62,7 +67,7 @@ from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.text import format_count
 
-CANDIDATES, VIEWS, FEWEST_VIEWS = 16, 12, 6  # 8 patches of skin sufficed on six heads of the study
+VIEWS, FEWEST_VIEWS = 12, 6  # 8 patches of skin sufficed on six heads of the study
 LOOK_S, SURVEY_S = 2.1, 60.0  # theatre time at a look, and of all with the ways to them
 ACROSS_MM = (-9.0, 0.0, 9.0)  # places of the line across a look
 WHOLE_PX = (2048, 1088)  # both whole sensors: skin up to 45 mm nearer or farther than expected
@@ -133,8 +138,8 @@ def choose_looks(context: StepContext, setting: ArmSetting) -> tuple[Reached, ..
     skin = skin_of(context)
     scanned = mark_scannable(skin)
     branch = setting.kinematics.branch_of(setting.start_rad)
-    views = choose_views(setting, branch, skin.points_mm[scanned], skin.normals[scanned], CANDIDATES)
-    tour = tour_views(setting, views[:VIEWS], FEWEST_VIEWS, LOOK_S, SURVEY_S)
+    views = choose_views(setting, branch, skin.points_mm[scanned], skin.normals[scanned], VIEWS)
+    tour = tour_views(setting, views, FEWEST_VIEWS, LOOK_S, SURVEY_S)
     if len(tour) < FEWEST_VIEWS:
         raise NO_STATIONS(
             f"the arm can look at few places on the skin and keep {ROUGH_MM:g} mm more than usual from it",

@@ -42,7 +42,7 @@ def found_in_ct(scene: Scene) -> HeadInCt:
 
 
 def judge(scene: Scene) -> tuple[object, ...]:
-    """What the planner finds against the drawn trajectories, by the head that it would find in the CT."""
+    """Objections of the planner to the drawn trajectories, by the head that it would find in the CT."""
     arm = find_arm(scene.arm.variant).kinematics
     cranium, face = fit_cranium_and_face(found_in_ct(scene))
     setting = ArmSetting(
