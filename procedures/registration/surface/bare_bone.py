@@ -16,8 +16,9 @@ from procedures.registration.surface.surface import Surface
 from ronna_hw.arrays import Array, Mask
 
 PATCH_MM = 8.0  # radius over which the points agree that they lie on bone
-ON_BONE_MM = 1.5  # of the median of a patch from the skull, while the pose follows from the skin alone
+ON_BONE_MM = 1.5  # of the median of a patch from the skull: a hollow in the skin is not bone
 FEWEST_POINTS = 8  # on bone, for it to be looked for in the CT
+MOST_TURNS = 12  # of marking and settling; three are usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,30 +56,59 @@ class OpenedHead:
 
 
 def open_where_bare(
-    found: Settled, points_mm: Array, view_mm: Array, skin: Surface, find_bone: Callable[[], Surface]
+    found: Settled,
+    before: Pose,
+    points_mm: Array,
+    view_mm: Array,
+    skin: Surface,
+    find_bone: Callable[[], Surface],
 ) -> tuple[Settled, Surface]:
     """Return the scan settled on skin and bare bone, with that surface; without bare bone, as given.
 
-    `find_bone` is called only if enough points lie below the skin.
+    `before` is the pose from which it settled: much bone tilts a head that is taken for skin alone so far
+    that bone is no longer told from skin there. `find_bone` is called only if enough points lie below the
+    skin.
     """
-    below = found.valid & (found.distances_mm < -PATCH_LIMIT_MM)
-    if below.sum() < FEWEST_POINTS:
+    if np.sum(found.valid & (found.distances_mm < -PATCH_LIMIT_MM)) < FEWEST_POINTS:
         return found, skin
-    bone = find_bone()
-    on_bone = _mark_bone(found.pose, points_mm, below, bone)
-    if on_bone.sum() < FEWEST_POINTS:
-        return found, skin
-    opened = OpenedHead(skin, bone, cKDTree(found.places_mm), on_bone)
-    return settle(found.pose, points_mm, view_mm, opened), opened
+    head = _Head(points_mm, view_mm, skin, find_bone())
+    opened = [one for one in map(head.settle, (found.pose, before)) if one is not None]
+    return min([(found, skin), *opened], key=lambda one: one[0].capped_mm2)
 
 
-def _mark_bone(pose: Pose, points_mm: Array, below: Mask, bone: Surface) -> Mask:
-    """Mark the points (n,) below the skin that lie on bone with most of those around them."""
-    rows = np.flatnonzero(below)
-    places = pose.apply(points_mm[rows])
-    distances, _, valid = bone.residuals(places)
-    off_mm = np.where(valid, np.abs(distances), np.inf)
-    near = cKDTree(places).query_ball_point(places, PATCH_MM)
-    marked = np.zeros(len(points_mm), dtype=bool)
-    marked[rows] = [float(np.median(off_mm[one])) < ON_BONE_MM for one in near]
-    return marked
+@dataclass(frozen=True, eq=False)
+class _Head:
+    """A scan of skin and bone, where nobody has said what is which."""
+
+    points_mm: Array
+    view_mm: Array
+    skin: Surface
+    bone: Surface
+
+    def settle(self, pose: Pose) -> tuple[Settled, Surface] | None:
+        """Settle the scan, and find what lies on bone, in turns; None if nothing does in the end."""
+        on_bone = np.zeros(len(self.points_mm), dtype=bool)
+        for _ in range(MOST_TURNS):
+            earlier, on_bone = on_bone, self._mark_bone(pose, np.inf)
+            if np.array_equal(on_bone, earlier):
+                break
+            pose = settle(pose, self.points_mm, self.view_mm, self._open(pose, on_bone)).pose
+        on_bone = self._mark_bone(pose, ON_BONE_MM)
+        if on_bone.sum() < FEWEST_POINTS:
+            return None
+        opened = self._open(pose, on_bone)
+        return settle(pose, self.points_mm, self.view_mm, opened), opened
+
+    def _open(self, pose: Pose, on_bone: Mask) -> OpenedHead:
+        return OpenedHead(self.skin, self.bone, cKDTree(pose.apply(self.points_mm)), on_bone)
+
+    def _mark_bone(self, pose: Pose, limit_mm: float) -> Mask:
+        """Mark the points (n,) around which bone is nearer than skin, and nearer than a limit."""
+        skin_mm, bone_mm = self._off_mm(pose, self.skin), self._off_mm(pose, self.bone)
+        near = cKDTree(pose.apply(self.points_mm)).query_ball_point(pose.apply(self.points_mm), PATCH_MM)
+        medians = np.array([(np.median(skin_mm[rows]), np.median(bone_mm[rows])) for rows in near])
+        return np.asarray((medians[:, 1] < medians[:, 0]) & (medians[:, 1] < limit_mm))
+
+    def _off_mm(self, pose: Pose, surface: Surface) -> Array:
+        found = Settled.at(pose, self.points_mm, self.view_mm, surface)
+        return np.where(found.valid, np.abs(found.distances_mm), np.inf)

@@ -48,7 +48,7 @@ from procedures.registration.surface.misfit import (
 from procedures.registration.surface.prediction import SurfacePrediction, mixture_limit_mm
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
-from procedures.registration.surface.settling import Settled, mark_other_bodies, settle
+from procedures.registration.surface.settling import Pose, Settled, mark_other_bodies, settle
 from procedures.registration.surface.shared_errors import AtTarget, ErrorColumns, Sources
 from procedures.registration.surface.spheres import (
     LookedSpheres,
@@ -283,15 +283,20 @@ def _settle(
     A start from which it does not settle is not trusted: the search then says whether it was wrong.
     """
     points, view, same_head_mm = thin.points_mm, thin.view_mm, limits.largest_residual_mm
-    found = None if start is None else settle(pose_of(start.robot_from_ct), points, view, surface)
+
+    def settle_from(pose: Pose) -> tuple[Settled, Surface]:
+        on_skin = settle(pose, points, view, surface)
+        if find_bone is None:
+            return on_skin, surface
+        return open_where_bare(on_skin, pose, points, view, surface, find_bone)
+
+    found, opened = (None, surface) if start is None else settle_from(pose_of(start.robot_from_ct))
     if found is None or found.sigma_mm > same_head_mm:
-        found = settle(find_pose(points, view, surface, same_head_mm).pose, points, view, surface)
-    if find_bone is not None:
-        found, surface = open_where_bare(found, points, view, surface, find_bone)
+        found, opened = settle_from(find_pose(points, view, surface, same_head_mm).pose)
     require_same_head(found, limits)
     is_other = mark_other_bodies(found)
     require_skin(is_other, limits)
-    return settle(found.pose, points, view, surface, ~is_other), surface
+    return settle(found.pose, points, view, opened, ~is_other), opened
 
 
 @dataclass(frozen=True, eq=False)

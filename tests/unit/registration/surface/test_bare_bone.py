@@ -39,6 +39,16 @@ def test_bone_that_is_bare_takes_part_in_the_registration(heads, scan_of):
     assert np.linalg.norm(made.errors_mm(found.robot_from_ct), axis=1).max() < 0.6
 
 
+@pytest.mark.parametrize("opening_mm", [55.0, 65.0, 75.0])
+def test_much_bare_bone_does_not_tilt_the_head(heads, scan_of, opening_mm):
+    def is_open(places):
+        return np.linalg.norm(places - FOREHEAD_MM, axis=1) < opening_mm
+
+    made = scan_of(heads[0], 22, count=300, outwards=lambda places: np.where(is_open(places), -SCALP_MM, 0.0))
+    found = register_surface(made.scan, heads[0], made.start, find_bone=lambda: Skull(heads[0]))
+    assert np.linalg.norm(made.errors_mm(found.robot_from_ct), axis=1).max() < 0.6
+
+
 def test_the_skull_is_not_looked_for_under_skin_that_is_closed(heads, scan_of):
     made = scan_of(heads[0], 22)
     register_surface(made.scan, heads[0], made.start, find_bone=lambda: pytest.fail("no bone is bare"))
