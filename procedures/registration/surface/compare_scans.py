@@ -103,7 +103,7 @@ def compare_scans(
             raise SCANS_APART(
                 "the scans share too little", limit=f"{LEAST_COMMON} points", got=f"{used.sum()}"
             )
-        own_noise = _along(after, thin) + noise_mm2
+        own_noise = thin.noise_along_mm2(after.directions) + noise_mm2
         shared_mm = (both_mm * looks * (after.normals @ pose.rotation)[:, None, :]).reshape(len(thin), -1)
         places, normals = after.places_mm[used], after.normals[used]
         regions, level_mm = list_regions(places, normals, axes), level_errors_mm(normals, surface.voxel_mm)
@@ -124,7 +124,11 @@ def _read_before(
     before: Settled, first: SurfaceScan, kept: Mask, after: Settled
 ) -> tuple[Array, Array, Mask]:
     """Return the first scan's mean distance around points of the second, its noise, and where it is."""
-    places, distances, noise = before.places_mm[kept], before.distances_mm[kept], _along(before, first)[kept]
+    places, distances, noise = (
+        before.places_mm[kept],
+        before.distances_mm[kept],
+        first.noise_along_mm2(before.directions)[kept],
+    )
     apart, near = cKDTree(places).query(after.places_mm, k=NEIGHBOURS, distance_upper_bound=COMMON_MM)
     there = np.isfinite(apart)
     near = np.where(there, near, 0)
@@ -133,9 +137,3 @@ def _read_before(
     mean = (weight * distances[near]).sum(axis=1) / total
     variance = (weight**2 * noise[near]).sum(axis=1) / total**2
     return mean, variance, np.asarray(there.any(axis=1))
-
-
-def _along(found: Settled, scan: SurfaceScan) -> Array:
-    """Return the noise (n,) mm2 of points along their normals."""
-    directions = found.normals @ found.pose.rotation
-    return np.asarray(np.einsum("ni,nij,nj->n", directions, scan.covariance_mm2, directions))

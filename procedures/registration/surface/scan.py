@@ -68,6 +68,10 @@ class SurfaceScan:
             view_mm=pose.apply(self.view_mm),
         )
 
+    def noise_along_mm2(self, directions: Array) -> Array:
+        """Return the variance (n,) mm2 of each point along its unit direction (n, 3), frame of the scan."""
+        return np.asarray(np.einsum("ni,nij,nj->n", directions, self.covariance_mm2, directions))
+
     def select(self, rows: ArrayLike) -> Self:
         """Return the scan of these rows only, given by number or by a mask (n,)."""
         chosen = np.asarray(rows)

@@ -66,6 +66,11 @@ class Settled:
         return cls(pose, places, distances, normals, valid & facing)
 
     @property
+    def directions(self) -> Array:
+        """Normals (n, 3) in the frame of the points, of the robot."""
+        return np.asarray(self.normals @ self.pose.rotation)
+
+    @property
     def sigma_mm(self) -> float:
         """Robust standard deviation of the valid distances."""
         return robust_sigma(self.distances_mm[self.valid]) if self.valid.any() else float("inf")

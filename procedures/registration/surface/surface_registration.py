@@ -329,8 +329,8 @@ class _Adjusted:
         The slopes stay those of the first pose, with which the shared errors were projected: otherwise a turn
         of the normals by a hundredth would tell the one from the other.
         """
-        directions = found.normals @ found.pose.rotation  # in the robot frame
-        noise = np.einsum("ni,nij,nj->n", directions, merged.covariance_mm2, directions)[used]
+        directions = found.directions
+        noise = merged.noise_along_mm2(directions)[used]
         points, places, towards = merged.points_mm[used], found.places_mm[used], directions[used]
         centre, along = places.mean(axis=0), columns.along(directions)[used]
         jacobian = found.jacobian(centre)[used]
