@@ -1,7 +1,8 @@
 """Error of the arm at a target, as far as its looks at skin and spheres show it.
 
-Spheres that are looked at in the posture of the target err with it: what the common adjustment leaves there
-of them is the arm's, and it is made up for. Looks at the skin, from many sides, tell the two apart.
+Looks from many sides see the head in places that contradict each other by what the arm errs between them. The
+part that the target shares is made up for: little of it by skin that was pressed and swollen, half and more
+by a phantom, most by spheres that are looked at in the posture of the target.
 """
 
 from __future__ import annotations
@@ -27,11 +28,6 @@ class FoundArm:
     sizes: Array
     known: Array
     gains: Array
-
-    @classmethod
-    def none(cls) -> FoundArm:
-        """Return that nothing was looked for."""
-        return cls(np.empty((0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0)))
 
     @classmethod
     def of(

@@ -23,12 +23,11 @@ MOST_TURNS = 12  # of marking and settling; three are usual
 
 @dataclass(frozen=True, eq=False)
 class OpenedHead:
-    """Skin with a part where the skull takes its place: where the nearest scanned point is on bone."""
+    """Skin with a part where the skull takes its place: around the scanned points that lie on bone."""
 
     skin: Surface
     bone: Surface
-    scanned: cKDTree
-    on_bone: Mask
+    bare_mm: cKDTree
 
     @property
     def points_mm(self) -> Array:
@@ -46,12 +45,18 @@ class OpenedHead:
         return self.skin.voxel_mm
 
     def residuals(self, points_ct_mm: Array) -> tuple[Array, Array, Mask]:
-        """Return signed distances (n,), normals (n, 3) and which are valid, of skin or bone."""
+        """Return signed distances (n,), normals (n, 3) and which are valid, of skin or bone.
+
+        Around bone the nearer of both is taken: a point at the rim must not change sides as the pose moves.
+        """
         distances, normals, valid = self.skin.residuals(points_ct_mm)
-        _, nearest = self.scanned.query(points_ct_mm)
-        rows = np.flatnonzero(self.on_bone[nearest])
+        around, _ = self.bare_mm.query(points_ct_mm, distance_upper_bound=PATCH_MM)
+        rows = np.flatnonzero(np.isfinite(around))
         if len(rows):
-            distances[rows], normals[rows], valid[rows] = self.bone.residuals(points_ct_mm[rows])
+            on_bone = self.bone.residuals(points_ct_mm[rows])
+            is_nearer = on_bone[2] & ~(valid[rows] & (np.abs(distances[rows]) <= np.abs(on_bone[0])))
+            rows = rows[is_nearer]
+            distances[rows], normals[rows], valid[rows] = (one[is_nearer] for one in on_bone)
         return distances, normals, valid
 
 
@@ -100,7 +105,7 @@ class _Head:
         return settle(pose, self.points_mm, self.view_mm, opened), opened
 
     def _open(self, pose: Pose, on_bone: Mask) -> OpenedHead:
-        return OpenedHead(self.skin, self.bone, cKDTree(pose.apply(self.points_mm)), on_bone)
+        return OpenedHead(self.skin, self.bone, cKDTree(pose.apply(self.points_mm[on_bone])))
 
     def _mark_bone(self, pose: Pose, limit_mm: float) -> Mask:
         """Mark the points (n,) around which bone is nearer than skin, and nearer than a limit."""

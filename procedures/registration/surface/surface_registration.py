@@ -130,10 +130,9 @@ class SurfaceRegistration:
         shared_mm = _shared(at_target)
         crossed = slope @ self.gains @ self.along_mm @ shared_mm.T
         whole = whole + crossed + np.swapaxes(crossed, 1, 2) + shared_mm @ shared_mm.T
-        if self.spheres:
-            whole = whole - self.arm.covariances_mm2(shared_mm)
-            corrections = self.arm.corrections_mm(shared_mm)
-            offsets = offsets + corrections - self.mixture.weights @ corrections
+        whole = whole - self.arm.covariances_mm2(shared_mm)
+        corrections = self.arm.corrections_mm(shared_mm)
+        offsets = offsets + corrections - self.mixture.weights @ corrections
         by_arm = by_arm + shared_mm
         known_mm2 = known_mm2 + by_arm @ np.swapaxes(by_arm, 1, 2)
         beside_mm2 = sum(one.independent_mm2 for one in at_target)
@@ -143,10 +142,8 @@ class SurfaceRegistration:
     def correct(self, arm_at_target: Sources) -> tuple[Array, float]:
         """Return how far (3,) mm to send the arm beside a target for its error there, and the longest usual.
 
-        Zero without spheres: `predict` counts with it. The limit holds 999 of 1,000.
+        `predict` counts with it. The limit holds 999 of 1,000.
         """
-        if not self.spheres:
-            return np.zeros(3), 0.0
         shared = _shared(AtTarget.of(arm_at_target, self.sources))
         weights, covariances = self.mixture.weights, self.arm.covariances_mm2(shared)
         limit_mm = mixture_limit_mm(weights, np.zeros((len(weights), 3)), covariances, EXPLAINED)
@@ -184,9 +181,8 @@ class SurfaceRegistration:
         if not arm_at_target:
             return slope, gains, ()
         at_target = AtTarget.of(arm_at_target, self.sources)
-        if self.spheres:  # what is made up for
-            gains = gains - _shared(at_target) @ self.arm.gains
-        return slope, gains, at_target
+        made_up_for = _shared(at_target) @ self.arm.gains
+        return slope, gains - made_up_for, at_target
 
 
 def _shared(at_target: Sequence[AtTarget]) -> Array:
@@ -333,7 +329,8 @@ class _Adjusted:
         noise = merged.noise_along_mm2(directions)[used]
         points, places, towards = merged.points_mm[used], found.places_mm[used], directions[used]
         centre, along = places.mean(axis=0), columns.along(directions)[used]
-        jacobian = found.jacobian(centre)[used]
+        of_all = found.jacobian(centre)
+        jacobian = of_all[used]
         level = level_errors_mm(found.normals[used], surface.voxel_mm)
         model = MisfitModel.of(points, towards, noise, along, level)
         require_still(model, jacobian, found.distances_mm[used], merged.look[used])  # by the scan alone
@@ -351,7 +348,9 @@ class _Adjusted:
             mean = mixture.mean
             if np.abs(mean).max() < STILL:
                 break
-            found = Settled.at(found.pose.moved(mean, centre), merged.points_mm, merged.view_mm, surface)
+            expected_mm = found.distances_mm + of_all @ mean
+            after = Settled.at(found.pose.moved(mean, centre), merged.points_mm, merged.view_mm, surface)
+            found = after.on_the_same_parts(expected_mm)
         changed = ChangedSkin.of(mixture, regions, found, used, axes)
         likely = mixture.likely()
         return cls(
@@ -363,5 +362,5 @@ class _Adjusted:
             noise + LEAST_NOISE_MM**2,
             changed,
             judge_spheres(model, jacobian, residuals, spheres),
-            FoundArm.of(adjustment, likely, residuals, along) if len(spheres.numbers) else FoundArm.none(),
+            FoundArm.of(adjustment, likely, residuals, along),
         )

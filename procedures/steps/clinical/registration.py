@@ -163,8 +163,8 @@ def require_explained(target: str, length_mm: float, limit_mm: float) -> None:
             f"the correction learned for {target} is longer than errors of this arm explain",
             limit=f"{limit} mm",
             got=f"{got} mm",
-            action="Check the spheres, and whose calibrations arm, stereo head and guide have, "
-            "then localize again.",
+            action="Check whether a sphere or the head has moved, and whose calibrations arm, head and "
+            "guide have, then localize again.",
         )
 
 

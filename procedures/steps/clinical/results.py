@@ -240,13 +240,13 @@ class FollowedMove(Values):
 
 
 class LearnedArm(Values):
-    """Errors of the arm as its looks show them, by strategy `learning` or by spheres beside the skin."""
+    """Errors of the arm as its looks show them, by strategy `learning` or on the skin."""
 
     looks: int = Field(description="Looks used, all of them for every target.")
     share: float | None = Field(
         default=None,
         description="Size of the arm's errors, as a share of the stated ones; null if not estimated, as "
-        "beside the skin.",
+        "on the skin.",
     )
     scatter_mm: float | None = Field(
         default=None,
@@ -290,7 +290,7 @@ class RegisteredRobot(StepResult, kind="registration"):
     )
     learned: LearnedArm | None = Field(
         default=None,
-        description="What all looks show of the arm: with strategy `learning`, or spheres beside the skin.",
+        description="What all looks show of the arm: with strategy `learning`, or on the skin.",
     )
     left_out: dict[str, str] = Field(
         default={},

@@ -89,7 +89,7 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     left_out = exclude_beyond_margin(context, plan, predictions)
     side_proven = found.side_proven or context.result(SurfaceStart).site is not None
     picture = context.keep_picture(RESIDUALS_PICTURE, draw_residuals(skin_of(context), found))
-    learned = None if looked is None else _learn_arm(context, scanned, looked, found, planned)
+    learned = _learn_arm(context, scanned, looked, found, planned)
     _accept(context, plan, found, predictions, left_out, learned, picture, side_proven=side_proven)
     kept = found.residuals_mm[~found.excluded]
     worst = max(predictions, key=lambda one: one.rms_mm)
@@ -194,7 +194,7 @@ def _arm_at(
 def _learn_arm(
     context: StepContext,
     scanned: ScannedSurface,
-    looked: LookedPairs,
+    looked: LookedPairs | None,
     found: SurfaceRegistration,
     planned: Sequence[PlannedTrajectory],
 ) -> LearnedArm:
@@ -205,14 +205,23 @@ def _learn_arm(
         shift_mm, limit_mm = found.correct(_arm_at(context, scanned, looked, held, one))
         require_explained(one.id, float(np.linalg.norm(shift_mm)), limit_mm)
         corrections_mm[one.id], limits_mm[one.id] = vector3(shift_mm), limit_mm
-    numbers, rows = np.unique(looked.fiducials, return_index=True)
-    places_mm = looked.physical_mm + found.arm_at_spheres_mm
-    return LearnedArm(
-        looks=len(scanned.looks_taken) + len(looked.looks),
-        fiducials=tuple(numbers.tolist()),
-        spheres_robot_mm=tuple(map(vector3, places_mm[rows])),
+    by_skin = LearnedArm(
+        looks=len(scanned.looks_taken),
+        fiducials=(),
+        spheres_robot_mm=(),
         corrections_mm=corrections_mm,
         correction_limits_mm=limits_mm,
+    )
+    if looked is None:
+        return by_skin
+    numbers, rows = np.unique(looked.fiducials, return_index=True)
+    places_mm = looked.physical_mm + found.arm_at_spheres_mm
+    return by_skin.model_copy(
+        update={
+            "looks": by_skin.looks + len(looked.looks),
+            "fiducials": tuple(numbers.tolist()),
+            "spheres_robot_mm": tuple(map(vector3, places_mm[rows])),
+        }
     )
 
 
@@ -266,7 +275,7 @@ def _accept(
     found: SurfaceRegistration,
     predictions: tuple[Prediction, ...],
     left_out: Mapping[str, str],
-    learned: LearnedArm | None,
+    learned: LearnedArm,
     residuals: Picture,
     *,
     side_proven: bool,
@@ -300,7 +309,7 @@ def _accept(
                     for one in found.spheres
                 )
                 + f"\nnot included: {predicted.excluded}"
-                + (f"\n{tell_learned(learned, predicted.target)}" if learned is not None else ""),
+                + f"\n{tell_learned(learned, predicted.target)}",
                 trajectory=predicted.target,
                 evidence=(error_budget.budget_table(predicted), *_tabulate_changed(found)),
                 predicted=against,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -11,6 +13,7 @@ from procedures.registration.surface.checks import SurfaceLimits
 from procedures.registration.surface.errors import SKIN_CHANGED
 from procedures.registration.surface.global_search import find_pose
 from procedures.registration.surface.peers import register_by_closest_points
+from procedures.registration.surface.settling import Pose, Settled
 from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface_registration import register_surface
 from procedures.registration.target_prediction import SharedErrors
@@ -137,6 +140,35 @@ def test_an_error_that_the_arm_has_at_the_target_too_cancels(heads, scan_of):
     assert found.predict(TARGETS_MM[0], elsewhere).rms_mm > 3.0
     together = found.predict(TARGETS_MM[0], arm)
     assert together.rms_mm == pytest.approx(alone.predict(TARGETS_MM[0]).rms_mm, rel=0.1)
+
+
+def test_what_the_arm_errs_between_looks_is_made_up_for_by_the_skin_alone(heads, scan_of):
+    without, left, predicted = [], [], []
+    for seed in range(8):
+        made = scan_of(heads[seed % 2], 800 + seed, misfit_mm=0.05)
+        looks = np.unique(made.scan.look)
+        by_look = np.zeros((len(looks), 3, 3))
+        by_look[0] = 0.5 * np.eye(3)  # in the posture of the target, in front of the face
+        arm = [SharedErrors("arm", by_look, 0.5 * np.eye(3))]
+        off_mm = 0.5 * np.random.default_rng(seed).normal(size=3)
+        seen = replace(made.scan, points_mm=made.scan.points_mm - off_mm * (made.scan.look == 0)[:, None])
+        found = register_surface(seen, heads[seed % 2], made.start, arm=arm)
+        correction_mm, limit_mm = found.correct(arm)
+        assert np.linalg.norm(correction_mm) < limit_mm
+        pose_mm = made.errors_mm(found.robot_from_ct)[0]
+        without.append(float(np.sum((pose_mm + off_mm) ** 2)))
+        left.append(float(np.sum((pose_mm + off_mm + correction_mm) ** 2)))
+        predicted.append(found.predict(TARGETS_MM[0], arm).rms_mm ** 2)
+    assert np.mean(left) < 0.3 * np.mean(without), (left, without)
+    assert 0.3 < np.mean(left) / np.mean(predicted) < 2.5, (left, predicted)
+
+
+def test_a_point_beside_a_fold_stays_on_its_part_as_the_pose_moves(heads):
+    points_mm = heads[0].points_mm[:3]
+    found = Settled.at(Pose(np.eye(3), np.zeros(3)), points_mm, 4.0 * points_mm, heads[0])
+    jumped = replace(found, distances_mm=np.array([0.1, -5.0, 0.3]), valid=np.array([True, True, False]))
+    kept = jumped.on_the_same_parts(np.array([0.15, 0.2, 0.25]))
+    assert kept.distances_mm.tolist() == [0.1, 0.2, 0.25]
 
 
 def test_the_shares_of_skin_scan_and_arm_add_up_to_the_predicted_square(heads, scan_of):
