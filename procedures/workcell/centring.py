@@ -19,9 +19,10 @@ from procedures.workcell.device_views import ArmView
 from procedures.workcell.errors import SPHERE_NOT_FOUND
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arm.errors import OutOfJointRange, Unreachable
 from ronna_hw.arrays import Array
 from ronna_hw.devices.lifecycle import RUNNING
-from ronna_hw.errors import LimitError, RonnaError
+from ronna_hw.errors import LimitError, RonnaError, is_error
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -32,6 +33,7 @@ SHORTER, LONGER = 0.25, 4.0  # shares of the configured exposure that are tried
 # From any side, steps smaller than the backlash end anywhere in it. The residual is recorded with the pose,
 # so a larger one costs nothing: backlash of 0.02 deg in every joint displaces the tool by up to 0.4 mm.
 WITHIN_BACKLASH = ServoSettings(tolerance_mm=0.5)
+SHARES_OF_BACKING_OFF = 1.0, 0.75, 0.5
 LIGHT_PROBLEMS = (NoContrast, NotTrusted)  # besides saturation, problems that another exposure may solve
 
 
@@ -81,8 +83,20 @@ class Centring:
             self.workcell.sensors.expose(1.0)
 
     def back_off(self) -> None:
-        """Back off along the tool axis from the pose of the last look."""
-        self.workcell.master.line_to(self._approach_pose(self.workcell.master.tool_pose()))
+        """Back off along the tool axis from the pose of the last look, as far as the joints reach.
+
+        The way was checked from where the look was planned; it may have ended millimetres beside that.
+        """
+        master = self.workcell.master
+        here = master.tool_pose()
+        *tried, least = (back_along_axis(here, share * self.approach_mm) for share in SHARES_OF_BACKING_OFF)
+        for pose in tried:
+            problem = refusal(partial(master.line_to, pose), master.arm)
+            if problem is None:
+                return
+            if not is_error(problem, OutOfJointRange, Unreachable):
+                raise problem
+        master.line_to(least)
 
     @property
     def is_over_sphere(self) -> bool:

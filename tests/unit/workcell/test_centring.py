@@ -5,16 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from coded_errors import raises
+from scipy.spatial.transform import RigidTransform
 
 from benchmarks.stereo_head.stereo_cell import StereoCell, calibrated_cell, servo_campaign, without_arm_errors
 from procedures.cli.stereo.command import show_look
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
+from procedures.workcell.centring import Centring
 from procedures.workcell.errors import SPHERE_NOT_FOUND
+from ronna_hw.arm.errors import NotClear, OutOfJointRange
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import StereoReading, Validity
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame, Transform
 from sim.world.scene.named_scenes import draw_scene
 
 END_MM, STEPS = 0.03, 8
@@ -296,3 +304,38 @@ def test_a_hundredth_of_a_degree_of_twist_moves_the_point_by_fifty_micrometres(t
     shift_mm = float(np.linalg.norm(cell.true_offset_mm(found, start.fiducial) + rest))
     assert shift_mm == pytest.approx(0.053, abs=0.004)
     assert found.ray_gap_mm < 0.005  # in the plane of both cameras the rays still meet
+
+
+class EndOfRange:
+    """Arm at the end of a joint's range, which it reaches on its way back."""
+
+    arm = SimpleNamespace(state=Lifecycle.ACTIVE)
+
+    def __init__(self, reach_mm: float, refused: LimitError) -> None:
+        self.reach_mm, self.refused, self.went_mm = reach_mm, refused, 0.0
+
+    def tool_pose(self) -> Transform:
+        return Transform(Frame.ROBOT, Frame.TOOL, RigidTransform.identity())
+
+    def line_to(self, pose: Transform) -> None:
+        away_mm = float(np.linalg.norm(pose.translation_mm))
+        if away_mm > self.reach_mm:
+            raise self.refused
+        self.went_mm = away_mm
+
+
+def back_off(arm: EndOfRange) -> None:
+    Centring(cast("Any", SimpleNamespace(master=arm)), None, (640, 640), approach_mm=40.0).back_off()
+
+
+def test_the_arm_backs_off_as_far_as_its_joints_reach() -> None:
+    arm = EndOfRange(39.0, OutOfJointRange("A5 would leave its range"))
+    back_off(arm)
+    assert arm.went_mm == pytest.approx(30.0)
+
+
+def test_a_way_back_that_is_not_clear_is_refused_as_a_whole() -> None:
+    arm = EndOfRange(39.0, NotClear("the stereo head would come too close"))
+    with pytest.raises(NotClear):
+        back_off(arm)
+    assert arm.went_mm == 0.0
