@@ -24,11 +24,12 @@ MIRROR = np.array([-1.0, 1.0, 1.0])  # left and right; any other mirror image is
 # no ellipsoid: only a quarter of its radius below the surface does the ellipsoid count.
 SOLID_SHARE = 0.75
 LYING_SHARE = 0.5  # of the head's axis that is horizontal; below it the patient sits over the floor
+COS_BODY = math.cos(math.radians(30.0))  # seen from above, the body is within this angle of the head's axis
+
 # Of the frame on its clamp from the middle of a head.
 # Safety against a head that was measured or touched elsewhere than it is. Source: half a head, a clamp and an
 # arm for the frame, as they are usual (U).
 MOST_FROM_CLAMP_MM = 400.0
-COS_BODY = math.cos(math.radians(30.0))  # seen from above, the body is within this angle of the head's axis
 
 # The 24 ways in which a stored image becomes a mirror image: its axes exchanged or reversed. Those first that
 # leave the slices' axis alone, as columns, rows or slices reversed and rows and columns swapped.

@@ -296,6 +296,16 @@ UNLIKE_LANDMARKS = Branch(
     "the one that fits worst is named, or those that were exchanged; they are read again",
     (GateFailed, HeadElsewhere, DUPLICATE_POINTS),
 )
+HEAD_NOT_FOUND = Branch(
+    "first looks do not find the head where it was measured",
+    "number of looks in reach, of lines, and the pose by them against the measured one and the plan",
+    ("surface_start",),
+    "what was measured is void: nose and ears are measured again before the arm goes there again",
+    (
+        *(NO_STATIONS, NOTHING_LIT, LITTLE_COVERAGE, MUCH_EXCLUDED, POORLY_DETERMINED),
+        *(TWO_POSES, OTHER_HEAD, FAR_FROM_START, HeadElsewhere),
+    ),
+)
 MIRRORED_SKIN = Branch(
     "left and right of the CT are exchanged",
     "the mark of an entry, touched; then the mirror image of the scan, which must not fit better",

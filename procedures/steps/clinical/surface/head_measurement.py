@@ -27,6 +27,7 @@ from ronna_hw.wire.room_tasks import MEASURE
 
 # Safety against a stereo head that is sent into the head. Source: a tape held from the base by hand (U).
 MEASURED_SD_MM = 15.0  # per axis
+
 MEASURE_AGAIN = (
     "Measure again, from the origin of the arm's base along its axes, x, y and z in mm with their signs: "
     "first the tip of the nose, then the patient's left ear, then the right ear. If it stays so, compare the "

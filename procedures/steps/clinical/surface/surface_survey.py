@@ -7,7 +7,8 @@ it excludes is refused. The mark of an entry tells left from right then, as the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -24,17 +25,24 @@ from procedures.planning.visits import ArmSetting, PathCheck, Reached
 from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import RoomPrior
 from procedures.registration.surface.checks import SurfaceLimits, require_start
-from procedures.registration.surface.errors import NO_STATIONS
+from procedures.registration.surface.errors import (
+    FAR_FROM_START,
+    LITTLE_COVERAGE,
+    MUCH_EXCLUDED,
+    NO_STATIONS,
+    NOTHING_LIT,
+    OTHER_HEAD,
+    POORLY_DETERMINED,
+    TWO_POSES,
+)
 from procedures.registration.surface.global_search import difference
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.starts import Start, pose_of
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.surface_registration import SurfaceRegistration, register_surface
-from procedures.steps.clinical.coarse_match import room_prior
 from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart, SurveyedSkin
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import (
     LocalizationPose,
     MotionPreview,
@@ -47,6 +55,7 @@ from procedures.steps.clinical.results import ScannedLine, join_lines
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
+from procedures.steps.clinical.surface.landmark_reading import prior_with_clamp
 from procedures.steps.clinical.surface.look_scanner import (
     LEFT_OUT,
     SMALL_STEPS,
@@ -83,26 +92,31 @@ LARGEST_ERROR_MM = 5.0
 # Safety against a pose from two or three looks. Source: five looks of a whole case showed 0.05.
 LEAST_COVERAGE = 0.04
 
+NOT_FOUND = (
+    *(NO_STATIONS, NOTHING_LIT, LITTLE_COVERAGE, MUCH_EXCLUDED, POORLY_DETERMINED),
+    *(TWO_POSES, OTHER_HEAD, FAR_FROM_START, HeadElsewhere),
+)
+OTHER_POSITION = (
+    "Compare the patient's position, left and right included, and the frame on the clamp with the plan."
+)
+MEASURED_AGAIN = (
+    "The head may be elsewhere than it was measured, which is void: go on with the next step, which has it "
+    "measured again."
+)
+
 
 def run(context: StepContext) -> Outcome[SurfaceStart]:
-    """Take first looks, and find the head by them. Raises SRF-002 to SRF-010, SRF-032, SRF-033, REG-013."""
+    """Take first looks, and find the head by them, or void what was measured.
+
+    Raises SRF-002 to SRF-010, SRF-032, SRF-033, REG-013.
+    """
     context.result(ImportedCt)
     measured = context.result(MeasuredHead)
     if (carried := find_carried(context)) is not None:
         return start_carried(carried)
-    setting = arm_setting_of(context)
-    assert setting.scene is not None  # a case always checks clearance
-    scene = setting.scene.around_rough_head(ROUGH_MM)
-    setting = replace(setting, scene=scene)
-    context.progress(0.0, "choosing first looks at the skin")
-    looks = choose_looks(context, setting)
-    lines, theatre_s = _take_looks(context, setting, scene, looks)
-    context.progress(0.9, "searching the head by what the looks show")
     plan = context.result(CheckedPlan)
-    targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
-    room = context.result(GlobalLocalization)
-    prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
-    found = find_head(join_lines(lines), skin_of(context), measured.start, targets_mm, prior)
+    with void_measured_head(context):
+        found, lines, theatre_s = _survey(context, measured, plan)
     pose, axes = found.robot_from_ct, HeadAxes.of(skin_of(context))
     turn_rad, place_mm = difference(
         pose_of(pose), pose_of(measured.robot_from_ct.transform), np.asarray(pose.apply(axes.centre_mm))
@@ -131,6 +145,42 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
         f"{tell_coverage(found.coverage)}, {place_mm:.0f} mm and {np.degrees(turn_rad):.0f} deg from where "
         f"it was measured{tell_site(site)}",
     )
+
+
+@contextmanager
+def void_measured_head(context: StepContext) -> Iterator[None]:
+    """Void what was measured if the head is not found there: the arm does not go to it again."""
+    try:
+        yield
+    except RonnaError as problem:
+        if not is_error(problem, *NOT_FOUND):
+            raise
+        again = problem.reworded(
+            problem.what,
+            expected=problem.expected,
+            limit=problem.limit,
+            got=problem.got,
+            action=f"{problem.advice} {MEASURED_AGAIN}",
+        )
+        context.void(MeasuredHead, again)
+        raise again from problem
+
+
+def _survey(
+    context: StepContext, measured: MeasuredHead, plan: CheckedPlan
+) -> tuple[SurfaceRegistration, list[ScannedLine], float]:
+    """Return the head by first looks, their lines, and their theatre time."""
+    setting = arm_setting_of(context)
+    assert setting.scene is not None  # a case always checks clearance
+    scene = setting.scene.around_rough_head(ROUGH_MM)
+    setting = replace(setting, scene=scene)
+    context.progress(0.0, "choosing first looks at the skin")
+    looks = choose_looks(context, setting)
+    lines, theatre_s = _take_looks(context, setting, scene, looks)
+    context.progress(0.9, "searching the head by what the looks show")
+    targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
+    prior = prior_with_clamp(context)
+    return find_head(join_lines(lines), skin_of(context), measured.start, targets_mm, prior), lines, theatre_s
 
 
 def choose_looks(context: StepContext, setting: ArmSetting) -> tuple[Reached, ...]:
@@ -218,7 +268,7 @@ def find_head(
     require_start(pose_of(found.robot_from_ct), measured, HeadAxes.of(skin))
     middle_mm = np.asarray(found.robot_from_ct.apply(prior.sight.centre_mm))
     if objection := prior.check_position(found.robot_from_ct.rotation_matrix, middle_mm):
-        raise HeadElsewhere(f"by the first looks {objection}")
+        raise HeadElsewhere(f"by the first looks {objection}", action=OTHER_POSITION)
     return found
 
 
