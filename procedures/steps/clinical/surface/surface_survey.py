@@ -44,6 +44,7 @@ from procedures.registration.surface.surface_registration import SurfaceRegistra
 from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart, SurveyedSkin
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.path_check import (
+    CheckedPaths,
     LocalizationPose,
     MotionPreview,
     announce_motions,
@@ -51,7 +52,7 @@ from procedures.steps.clinical.path_check import (
 )
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import begin_looks
-from procedures.steps.clinical.results import ScannedLine, join_lines
+from procedures.steps.clinical.results import ScannedLook, join_lines
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
@@ -116,7 +117,8 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
         return start_carried(carried)
     plan = context.result(CheckedPlan)
     with void_measured_head(context):
-        found, lines, theatre_s = _survey(context, measured, plan)
+        found, looked = _survey(context, measured, plan)
+    lines = [line for one in looked for line in one.lines]
     pose, axes = found.robot_from_ct, HeadAxes.of(skin_of(context))
     turn_rad, place_mm = difference(
         pose_of(pose), pose_of(measured.robot_from_ct.transform), np.asarray(pose.apply(axes.centre_mm))
@@ -138,7 +140,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
                 rms_mm=float(np.sqrt(np.mean(used_mm**2))),
                 from_measured_mm=place_mm,
                 from_measured_rad=turn_rad,
-                theatre_s=theatre_s,
+                theatre_s=sum(one.theatre_s for one in looked),
             ),
         ),
         summary=f"found by {format_count(shown, 'look')}, {len(lines)} lines, "
@@ -168,19 +170,19 @@ def void_measured_head(context: StepContext) -> Iterator[None]:
 
 def _survey(
     context: StepContext, measured: MeasuredHead, plan: CheckedPlan
-) -> tuple[SurfaceRegistration, list[ScannedLine], float]:
-    """Return the head by first looks, their lines, and their theatre time."""
+) -> tuple[SurfaceRegistration, tuple[ScannedLook, ...]]:
+    """Return the head by first looks, and the looks."""
     setting = arm_setting_of(context)
     assert setting.scene is not None  # a case always checks clearance
     scene = setting.scene.around_rough_head(ROUGH_MM)
     setting = replace(setting, scene=scene)
     context.progress(0.0, "choosing first looks at the skin")
-    looks = choose_looks(context, setting)
-    lines, theatre_s = _take_looks(context, setting, scene, looks)
+    looked = _look(context, setting, scene, choose_looks(context, setting))
     context.progress(0.9, "searching the head by what the looks show")
+    scan = join_lines([line for one in looked for line in one.lines])
     targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
     prior = prior_with_clamp(context)
-    return find_head(join_lines(lines), skin_of(context), measured.start, targets_mm, prior), lines, theatre_s
+    return find_head(scan, skin_of(context), measured.start, targets_mm, prior), looked
 
 
 def choose_looks(context: StepContext, setting: ArmSetting) -> tuple[Reached, ...]:
@@ -202,40 +204,58 @@ def choose_looks(context: StepContext, setting: ArmSetting) -> tuple[Reached, ..
     )
 
 
-def _take_looks(
+def _look(
     context: StepContext, setting: ArmSetting, scene: PlanningScene, looks: Sequence[Reached]
-) -> tuple[list[ScannedLine], float]:
-    """Return the lines of all looks, and their theatre time, with the arm home again. Raises SRF-032."""
+) -> tuple[ScannedLook, ...]:
+    """Return all looks, with the arm home again. Raises SRF-032."""
     workcell = context.workcell
     workcell.master.mount.check(MountedTool.STEREO_HEAD)
     branch = setting.kinematics.branch_of(setting.start_rad)
     check = PathCheck(branch, tuple(looks), ())
     previews = [MotionPreview.of(one) for one in preview_motions(setting, scene, check, ())]
     centring = Centring(workcell, ONE_SIDE, WHOLE_PX, setting.approach_mm)
-    lines: list[ScannedLine] = []
-    dark: dict[str, str] = {}
     with workcell.master.supervised.announce_step_motions(announce_motions(previews, SMALL_STEPS)):
         around = scene.with_stereo_head(
             setting.robot_from_ct, workcell.master.flange_from(MountedTool.STEREO_HEAD)
         )
         workcell.master.surround(around, looks[len(looks) // 2].at_rad)
-        begin_looks(context, "before the first looks at the skin", SurfaceStart)
+        begin_looks(context, "before the first looks at the skin", CheckedPaths)
         workcell.sensors.read_whole()
-        began_s = read_time_s(workcell)
-        for number, one in enumerate(looks):
-            context.progress(0.1 + 0.8 * number / len(looks), f"first look {number + 1} of {len(looks)}")
-            scanner = LookScanner(context, number, _as_look(number, one), centring, ACROSS_MM)
-            seen = scanner.scan()
-            lines += seen
-            if not seen:
-                dark[str(number + 1)] = scanner.reason
-        theatre_s = read_time_s(workcell) - began_s
+        looked = take_looks(context, looks, centring)
         _go_home(workcell, centring)
     check_room(context, "after the first looks at the skin")
+    workcell.record_scanned_look(_name_of(context), None)
+    dark = {str(one.number + 1): one.reason for one in looked if not one.lines}
     for name, reason in dark.items():
         context.find(f"first look {name} at the skin shows no line: {reason}")
-    require_lines(lines, dark)
-    return lines, theatre_s
+    require_lines([line for one in looked for line in one.lines], dark)
+    return looked
+
+
+def take_looks(context: StepContext, looks: Sequence[Reached], centring: Centring) -> tuple[ScannedLook, ...]:
+    """Take the looks that are not kept, each on disk before the next. One that shows no line is not kept."""
+    workcell, name = context.workcell, _name_of(context)
+    kept = [ScannedLook.model_validate(one) for one in workcell.scanned_looks(name)]
+    if kept:
+        context.find(f"{len(kept)} of {len(looks)} first looks are kept from before the interruption")
+    done = {one.number: one for one in kept}
+    for number, one in enumerate(looks):
+        if number in done:
+            continue
+        context.progress(0.1 + 0.8 * number / len(looks), f"first look {number + 1} of {len(looks)}")
+        began_s = read_time_s(workcell)  # after a pause
+        scanner = LookScanner(context, number, _as_look(number, one), centring, ACROSS_MM)
+        lines = tuple(scanner.scan())
+        theatre_s = read_time_s(workcell) - began_s
+        done[number] = ScannedLook(number=number, lines=lines, reason=scanner.reason, theatre_s=theatre_s)
+        if lines:
+            workcell.record_scanned_look(name, done[number].model_dump(mode="json"))
+    return tuple(done[number] for number in sorted(done))
+
+
+def _name_of(context: StepContext) -> str:
+    """Return the name under which looks are kept: a measured head, which is void once something has moved."""
+    return context.identifier(MeasuredHead)
 
 
 def _go_home(workcell: Workcell, centring: Centring) -> None:
