@@ -118,11 +118,16 @@ def _solve(setting: ArmSetting, branch: Branch, visit: Visit) -> Reached:
 
 
 def is_clear(setting: ArmSetting, reached: Reached, around: Surroundings) -> bool:
-    """Return whether a view can be approached from home, and left for home, without touching anything."""
-    arm, home_rad = setting.kinematics, approach_joints(setting.start_rad, ONE_SIDE)
-    home = plan_joint_move(arm, reached.approach_rad, home_rad, setting.limits)
+    """Return whether a view can be approached from home, and left for home, without touching anything.
+
+    A line and a way home alone would not tell: bodies that are too close where a path begins may stay so.
+    """
+    arm, home_rad, approach_rad = setting.kinematics, setting.start_rad, reached.approach_rad
+    onto = plan_joint_move(arm, home_rad, approach_rad, setting.limits)
+    home = plan_joint_move(arm, approach_rad, approach_joints(home_rad, ONE_SIDE), setting.limits)
     return all(
-        sweep_path(arm, plan, around, search_closest=False).refused is None for plan in (reached.line, home)
+        sweep_path(arm, plan, around, search_closest=False).refused is None
+        for plan in (reached.line, onto, home)
     )
 
 

@@ -105,7 +105,7 @@ class LayoutNotFound(RefusedError):
 
 
 class HeadElsewhere(RefusedError):
-    """A touched point on the head is away from its matched position, or cannot rule out a mirror image."""
+    """The head, by a point of it, is elsewhere than expected, or a mirror image cannot be ruled out."""
 
     code = "REG-013"
     action = (

@@ -26,6 +26,11 @@ SOLID_SHARE = 0.75
 LYING_SHARE = 0.5  # of the head's axis that is horizontal; below it the patient sits over the floor
 COS_BODY = math.cos(math.radians(30.0))  # seen from above, the body is within this angle of the head's axis
 
+# Of the frame on its clamp from the middle of a head.
+# Safety against a head that was measured or touched elsewhere than it is. Source: half a head, a clamp and an
+# arm for the frame, as they are usual (U).
+MOST_FROM_CLAMP_MM = 400.0
+
 # The 24 ways in which a stored image becomes a mirror image: its axes exchanged or reversed. Those first that
 # leave the slices' axis alone, as columns, rows or slices reversed and rows and columns swapped.
 MIRRORS = sorted(
@@ -67,6 +72,11 @@ class HeadSight:
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
         """State how many of the points (k, 3) the head would hide in this pose; return '' for none."""
+        hidden = self.count_hidden(rotation, translation_mm, physical_mm)
+        return f"the head would hide {hidden} of the spheres that the tracker sees" if hidden else ""
+
+    def count_hidden(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> int:
+        """Return how many of the points (k, 3) the head would hide from the tracker, or have inside."""
         eyes, points = (
             ((places - translation_mm) @ rotation - self.centre_mm) / self.semi_axes_mm
             for places in (self.eyes_mm[:, None], physical_mm)
@@ -74,8 +84,7 @@ class HeadSight:
         rays = points - eyes
         share = np.clip(-(rays * eyes).sum(axis=-1) / np.square(rays).sum(axis=-1), 0.0, 1.0)
         nearest = np.linalg.norm(eyes + share[..., None] * rays, axis=-1).min(axis=0)
-        hidden = int((nearest < SOLID_SHARE).sum())
-        return f"the head would hide {hidden} of the spheres that the tracker sees" if hidden else ""
+        return int((nearest < SOLID_SHARE).sum())
 
     def mirrored(self) -> HeadSight:
         """Return the sight for a mirrored head."""
@@ -88,13 +97,15 @@ class RoomPrior:
 
     `lying_up` (3,) is the patient's side that is up when lying flat; `recline_deg` is the range by which the
     upper body is raised from there, `tolerance_deg` how far the head may be turned or tilted beyond it. The
-    base of the arm is the origin of the room, its z axis vertical.
+    base of the arm is the origin of the room, its z axis vertical. `clamp_mm` (3,) is where the tracker sees
+    the frame on the head's clamp, if there is one.
     """
 
     lying_up: Array
     recline_deg: tuple[float, float]
     tolerance_deg: float
     sight: HeadSight
+    clamp_mm: Array | None = None
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
         """State the first evidence against this pose; return '' if there is none."""
@@ -104,7 +115,11 @@ class RoomPrior:
 
     def check_position(self, rotation: Array, middle_mm: Array) -> str:
         """State any evidence against the patient's position, given the head's orientation and centre."""
-        return self._check_gravity(rotation) or self._check_body(rotation, middle_mm)
+        return (
+            self._check_gravity(rotation)
+            or self._check_body(rotation, middle_mm)
+            or self._check_clamp(rotation, middle_mm)
+        )
 
     def _check_gravity(self, rotation: Array) -> str:
         up = rotation.T @ UP
@@ -126,6 +141,19 @@ class RoomPrior:
             return ""
         cosine = body @ base / max(np.linalg.norm(body) * np.linalg.norm(base), 1e-9)
         return "the arm would stand where the patient's body is" if cosine > COS_BODY else ""
+
+    def _check_clamp(self, rotation: Array, middle_mm: Array) -> str:
+        if self.clamp_mm is None:
+            return ""
+        away_mm = float(np.linalg.norm(self.clamp_mm - middle_mm))
+        if away_mm > MOST_FROM_CLAMP_MM:
+            return (
+                f"the middle of the head would be {away_mm:.0f} mm from the frame on its clamp, "
+                f"limit {MOST_FROM_CLAMP_MM:g} mm"
+            )
+        translation_mm = middle_mm - rotation @ self.sight.centre_mm
+        hidden = self.sight.count_hidden(rotation, translation_mm, self.clamp_mm[None])
+        return "the head would hide the frame on its clamp, which the tracker sees" if hidden else ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
 from procedures.operator.question import NO, YES, Question, Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.planning.free_angle import BY_ACCURACY
-from procedures.registration.errors import NO_UNIQUE_MATCH, HeadElsewhere
+from procedures.registration.errors import DUPLICATE_POINTS, NO_UNIQUE_MATCH, HeadElsewhere
 from procedures.registration.surface.errors import (
     CARRIED_DIFFERS,
     FAR_FROM_START,
@@ -288,11 +288,23 @@ BEYOND_MARGIN = Branch(
     (LEAVE_OUT, HOLD),
 )
 UNLIKE_LANDMARKS = Branch(
-    "nose and ears, as touched, do not fit the head in the CT, or put it elsewhere than planned",
-    "rms of the landmarks about their fit, and the place of the head it gives",
+    "nose and ears, as touched or measured, do not fit the head in the CT, or put it elsewhere than planned, "
+    "or than its clamp",
+    "rms of the landmarks about their fit; the place of the head it gives, against the plan and the frame on "
+    "the clamp",
+    ("head_measurement", "surface_start"),
+    "the one that fits worst is named, or those that were exchanged; they are read again",
+    (GateFailed, HeadElsewhere, DUPLICATE_POINTS),
+)
+HEAD_NOT_FOUND = Branch(
+    "first looks do not find the head where it was measured",
+    "number of looks in reach, of lines, and the pose by them against the measured one and the plan",
     ("surface_start",),
-    "the one that fits worst is named, or left and right as exchanged; they are touched again",
-    (GateFailed, HeadElsewhere),
+    "what was measured is void: nose and ears are measured again before the arm goes there again",
+    (
+        *(NO_STATIONS, NOTHING_LIT, LITTLE_COVERAGE, MUCH_EXCLUDED, POORLY_DETERMINED),
+        *(TWO_POSES, OTHER_HEAD, FAR_FROM_START, HeadElsewhere),
+    ),
 )
 MIRRORED_SKIN = Branch(
     "left and right of the CT are exchanged",

@@ -238,7 +238,10 @@ class Workcell:
         self._log.note(Entry.LOOK, localization=localization, look=look.as_plain())
 
     def scanned_looks(self, paths: str) -> tuple[Line, ...]:
-        """Return the looks at the skin that were kept of a scan by this path check, if it was interrupted."""
+        """Return the looks at the skin that were kept of an interrupted scan.
+
+        It was by this path check, or by first looks at this measured head.
+        """
         known = self._log.history.scanned
         return known[1] if known is not None and known[0] == paths else ()
 

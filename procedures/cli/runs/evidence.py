@@ -39,7 +39,7 @@ from ronna_hw.recording.flight_recorder import BYTES_FOLDER, LinkLine, list_link
 from ronna_hw.recording.reading_tape import READINGS_FILE
 from ronna_hw.text import format_count, printable
 
-CONFIRMED = (ReplayVerdict.EQUAL, ReplayVerdict.ROUNDED)
+CONFIRMED = (ReplayVerdict.EQUAL, ReplayVerdict.ROUNDED, ReplayVerdict.NO_RESULT)
 ROW_BYTES = 16
 RESTORE = (
     "put changed and missing files back from a copy of the run, and move added ones out; if only report.html "
@@ -88,7 +88,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
 
 
 def replay_run(run_folder: Path, *, as_json: bool) -> None:
-    """Replay a run and print a verdict for each record.
+    """Replay a run and print a verdict for each record, and for each step that failed.
 
     Raises PRO-024, and PRO-025 for records that are not confirmed.
     """
@@ -105,14 +105,14 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
         records = [asdict(result) for result in results]
         print_json({"run": run_folder.name, "methods": methods, **totals, "records": records})
     else:
-        rows = [(one.record, one.verdict, "; ".join(one.why)) for one in results]
+        rows = [(one.record or one.step, one.verdict, "; ".join(one.why)) for one in results]
         if methods:
             say(methods)
         print_table("Recomputed results", ("record", "verdict", "why"), rows)
     unconfirmed = [one.record for one in results if one.verdict not in CONFIRMED]
     if unconfirmed:
         raise REPLAY_DIFFERS(
-            f"{len(unconfirmed)} of {len(results)} records are not confirmed: {', '.join(unconfirmed)}"
+            f"{len(unconfirmed)} of {len(run.records)} records are not confirmed: {', '.join(unconfirmed)}"
         )
 
 

@@ -49,17 +49,21 @@ ShowRecord = Callable[[int, int], None]  # records done, of how many
 
 
 class ReplayVerdict(StrEnum):
-    """Verdict of a replay on one record."""
+    """Verdict of a replay on one record, or on a step that failed and has none."""
 
     EQUAL = "equal"
     ROUNDED = "rounded"
     DIFFERENT = "different"
     NOT_RECORDED = "not recorded"
+    NO_RESULT = "no result"
 
 
 @dataclass(frozen=True)
 class ReplayedRecord:
-    """Verdict on one record; `why` lists the differences or explains why it was not recomputed."""
+    """Verdict on one record; `why` lists the differences or explains why it was not recomputed.
+
+    A step that failed has no record; `why` says with which code it failed, and how it ended again.
+    """
 
     record: str
     step: str
@@ -132,7 +136,7 @@ def replay(
     answers: RecordedAnswers,
     progress: ShowRecord = lambda _done, _of: None,
 ) -> tuple[ReplayedRecord, ...]:
-    """Replay the run and return a verdict on every record, in order.
+    """Replay the run and return a verdict on every record, and on every step that failed, in order.
 
     Later steps read recomputed results, not recorded ones: a difference shows in all that follow. Opens no
     device and writes to a temporary folder only.
@@ -142,7 +146,7 @@ def replay(
         results: list[ReplayedRecord] = []
         for one in again.run():
             results.append(one)
-            progress(len(results), len(run.records))
+            progress(sum(bool(result.record) for result in results), len(run.records))
         return tuple(results)
 
 
@@ -235,8 +239,7 @@ class _Replay:
             elif end is not None and end["entry"] == Entry.RESULT:
                 yield self._recompute(str(line["step"]), records[str(end["record"])])
             elif end is not None and end["entry"] == Entry.FAILED:
-                with suppress(RonnaError):
-                    self._engine.run_step(self._engine.order.find(str(line["step"])))
+                yield self._fail_again(str(line["step"]), str(end["code"]))
             for one in following:
                 if one["entry"] == Entry.ACKNOWLEDGED:
                     self._engine.faults.acknowledge(str(one["by"]))
@@ -266,6 +269,22 @@ class _Replay:
             self._uncomputed = ReplayVerdict.DIFFERENT
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
         return compare_records(step, recorded, again, self._engine.order.spec(key).result)
+
+    def _fail_again(self, step: str, code: str) -> ReplayedRecord:
+        """Run a step that failed; say how it ends now.
+
+        One that a guard ended may go farther than it did: what guards read is not kept.
+        """
+        try:
+            self._engine.run_step(self._engine.order.find(step))
+            again = "recomputed, it does not fail"
+        except RonnaError as problem:
+            again = f"recomputed, with {problem.code}: {problem.what}"
+            if problem.code == code:
+                again = "recomputed, with the same"
+        except Exception as problem:
+            again = f"recomputed, with {problem}"
+        return ReplayedRecord("", step, ReplayVerdict.NO_RESULT, (f"failed with {code}; {again}",))
 
     def _rest_devices(self) -> None:
         """Return open devices to the configured state, so that the next motion counts as a first motion."""

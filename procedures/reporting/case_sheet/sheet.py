@@ -34,7 +34,7 @@ from procedures.reporting.sections.course import read_course
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere, LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.surface.surface_start import TOUCHED
+from procedures.steps.clinical.surface.landmark_reading import TOUCHED
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import ProcedureSettings, TheatreFile

@@ -115,7 +115,7 @@ class ScannedLine(Values):
 class ScannedLook(Values):
     """One look at the skin, which is kept until the scan is whole."""
 
-    number: NonNegativeInt = Field(description="Of the look in the path check.")
+    number: NonNegativeInt = Field(description="Of the look, as planned.")
     lines: tuple[ScannedLine, ...] = Field(description="Lines with points, in the order of the scan.")
     reason: str = Field(default="", description="Why a line shows no skin, if one does not.")
     theatre_s: float = Field(description="Theatre time that it took, with the way to it.")

@@ -400,6 +400,33 @@ def test_a_step_that_failed_and_was_repeated_is_replayed_both_times(tmp_path: Pa
     assert verdicts(recorded.replayed()) == dict.fromkeys(CASE[:3], EQUAL)
 
 
+@pytest.mark.parametrize(
+    ("turned_rad", "again"),
+    [(0.0, "recomputed, with the same"), (0.001, "recomputed, it does not fail")],
+)
+def test_a_replay_says_how_a_step_without_a_result_failed_and_how_it_ends_again(
+    tmp_path: Path, turned_rad: float, again: str
+) -> None:
+    def fails(context: StepContext) -> Outcome[Localization]:
+        done = looks(context)
+        if done.result.number == 0:
+            raise GateFailed("stands at zero")
+        return done
+
+    recorded = Recorded(tmp_path, localization=fails)
+    recorded.run("image", "localization:T1")
+
+    def turn(line: dict[str, Any]) -> None:
+        if line["call"] == "read_state":
+            line["answer"]["joints_rad"][0] += turned_rad
+
+    recorded.edit(turn)
+    image, failed = recorded.replayed()
+    assert image.verdict is EQUAL
+    assert (failed.record, failed.step, failed.verdict) == ("", "localization:T1", ReplayVerdict.NO_RESULT)
+    assert failed.why == (f"failed with PRO-007; {again}",)
+
+
 def test_a_replay_opens_no_connection_and_does_not_change_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

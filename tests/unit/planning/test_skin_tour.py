@@ -9,8 +9,11 @@ import pytest
 from half_sitting import HEAD, arm_setting
 
 from procedures.planning.skin_tour import tour_views
-from procedures.planning.skin_views import choose_views
+from procedures.planning.skin_views import choose_views, is_clear
 from procedures.planning.visits import ArmSetting, Reached
+from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Part, Surroundings
+from ronna_hw.arrays import Array
+from ronna_hw.vectors import JointVector, vector3
 
 NEEDED, LOOK_S = 2, 2.0
 
@@ -73,3 +76,27 @@ def test_views_are_left_out_for_time_but_never_those_that_are_needed(
     fewer = tour_views(setting, views, NEEDED, long_s, long_s * (len(views) - 0.5))
     assert len(fewer) == len(views) - 1
     assert set(places_of(fewer)) > set(places_of(views[:NEEDED]))
+
+
+def ball_beside_approach(setting: ArmSetting, view: Reached, gap_mm: float) -> Surroundings:
+    """Place a ball beside the tool where the line to a view begins, on the side away from both ways on."""
+    at_flange_mm, radius_mm = (0.0, 0.0, 200.0), 20.0
+
+    def tool_mm(joints_rad: JointVector) -> Array:
+        return np.asarray(setting.kinematics.forward(joints_rad).apply(at_flange_mm))
+
+    here_mm = tool_mm(view.approach_rad)
+    ways = [tool_mm(joints) - here_mm for joints in (view.at_rad, setting.start_rad)]
+    away = sum(way / np.linalg.norm(way) for way in ways)
+    centre_mm = vector3(here_mm - (2.0 * radius_mm + gap_mm) * away / np.linalg.norm(away))
+    return Surroundings(
+        tool=(Part("head", Capsule(at_flange_mm, at_flange_mm, radius_mm)),),
+        obstacles=(Obstacle("ball", Capsule(centre_mm, centre_mm, radius_mm)),),
+    )
+
+
+@pytest.mark.parametrize(("gap_mm", "clear"), [(9.0, False), (11.0, True)])
+def test_a_view_whose_line_begins_too_close_to_a_body_is_not_clear(
+    setting: ArmSetting, views: tuple[Reached, ...], gap_mm: float, clear: bool
+) -> None:
+    assert is_clear(setting, views[0], ball_beside_approach(setting, views[0], gap_mm)) is clear

@@ -8,19 +8,18 @@ from __future__ import annotations
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.registration.surface.starts import Start
-from procedures.steps.clinical.coarse_match import room_prior
 from procedures.steps.clinical.correspondence import MeasuredHead
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
-from procedures.steps.clinical.surface.surface_start import (
+from procedures.steps.clinical.surface.landmark_reading import (
     LandmarkReading,
     list_landmarks,
+    place_head,
+    prior_with_clamp,
     read_landmarks,
-    require_fit,
     tell_fit,
 )
 from procedures.steps.conditions import needs_guide_unmounted
@@ -28,24 +27,33 @@ from ronna_hw.wire.room_tasks import MEASURE
 
 # Safety against a stereo head that is sent into the head. Source: a tape held from the base by hand (U).
 MEASURED_SD_MM = 15.0  # per axis
+
+MEASURE_AGAIN = (
+    "Measure again, from the origin of the arm's base along its axes, x, y and z in mm with their signs: "
+    "first the tip of the nose, then the patient's left ear, then the right ear. If it stays so, compare the "
+    "patient's position, the frame on the clamp and the CT with the plan."
+)
 BY_TAPE = LandmarkReading(
-    MEASURE, "measure with a tape, to 3 cm, where the {} reaches furthest,", MEASURED_SD_MM
+    MEASURE,
+    "measure with a tape, to 3 cm, where the {} reaches furthest,",
+    MEASURED_SD_MM,
+    MEASURE_AGAIN,
 )
 
 
 def run(context: StepContext) -> Outcome[MeasuredHead]:
-    """Have the head measured, unless its clamp carries a former registration. Raises PRO-007, REG-013."""
-    context.result(ImportedCt)
-    room, plan = context.result(GlobalLocalization), context.result(CheckedPlan)
-    context.result(SkinInCt)
+    """Have the head measured, unless its clamp carries a former registration.
+
+    Raises PRO-007, REG-004, REG-013.
+    """
+    for before in (ImportedCt, SkinInCt, GlobalLocalization, CheckedPlan):
+        context.result(before)
     if (carried := find_carried(context)) is not None:
         there = start_carried(carried).result.model_dump() | {"carried": None}
         summary = "the clamp has carried a registration: nothing is measured"
         return Outcome(MeasuredHead.model_validate(there), summary=summary)
     in_ct_mm, measured_mm = read_landmarks(context, BY_TAPE)
-    start = Start.from_landmarks(in_ct_mm, measured_mm, BY_TAPE.deviation_mm)
-    prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
-    off_mm = require_fit(in_ct_mm, measured_mm, start.robot_from_ct, prior, deviation_mm=BY_TAPE.deviation_mm)
+    start, off_mm = place_head(in_ct_mm, measured_mm, prior_with_clamp(context), BY_TAPE)
     return Outcome(
         MeasuredHead.without_spheres(
             start.robot_from_ct,

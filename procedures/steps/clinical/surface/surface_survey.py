@@ -7,7 +7,8 @@ it excludes is refused. The mark of an entry tells left from right then, as the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -24,18 +25,26 @@ from procedures.planning.visits import ArmSetting, PathCheck, Reached
 from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import RoomPrior
 from procedures.registration.surface.checks import SurfaceLimits, require_start
-from procedures.registration.surface.errors import NO_STATIONS
+from procedures.registration.surface.errors import (
+    FAR_FROM_START,
+    LITTLE_COVERAGE,
+    MUCH_EXCLUDED,
+    NO_STATIONS,
+    NOTHING_LIT,
+    OTHER_HEAD,
+    POORLY_DETERMINED,
+    TWO_POSES,
+)
 from procedures.registration.surface.global_search import difference
 from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.scan import SurfaceScan
 from procedures.registration.surface.starts import Start, pose_of
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.surface_registration import SurfaceRegistration, register_surface
-from procedures.steps.clinical.coarse_match import room_prior
 from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart, SurveyedSkin
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import (
+    CheckedPaths,
     LocalizationPose,
     MotionPreview,
     announce_motions,
@@ -43,10 +52,11 @@ from procedures.steps.clinical.path_check import (
 )
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import begin_looks
-from procedures.steps.clinical.results import ScannedLine, join_lines
+from procedures.steps.clinical.results import ScannedLook, join_lines
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
+from procedures.steps.clinical.surface.landmark_reading import prior_with_clamp
 from procedures.steps.clinical.surface.look_scanner import (
     LEFT_OUT,
     SMALL_STEPS,
@@ -83,26 +93,32 @@ LARGEST_ERROR_MM = 5.0
 # Safety against a pose from two or three looks. Source: five looks of a whole case showed 0.05.
 LEAST_COVERAGE = 0.04
 
+NOT_FOUND = (
+    *(NO_STATIONS, NOTHING_LIT, LITTLE_COVERAGE, MUCH_EXCLUDED, POORLY_DETERMINED),
+    *(TWO_POSES, OTHER_HEAD, FAR_FROM_START, HeadElsewhere),
+)
+OTHER_POSITION = (
+    "Compare the patient's position, left and right included, and the frame on the clamp with the plan."
+)
+MEASURED_AGAIN = (
+    "The head may be elsewhere than it was measured, which is void: go on with the next step, which has it "
+    "measured again."
+)
+
 
 def run(context: StepContext) -> Outcome[SurfaceStart]:
-    """Take first looks, and find the head by them. Raises SRF-002 to SRF-010, SRF-032, SRF-033, REG-013."""
+    """Take first looks, and find the head by them, or void what was measured.
+
+    Raises SRF-002 to SRF-010, SRF-032, SRF-033, REG-013.
+    """
     context.result(ImportedCt)
     measured = context.result(MeasuredHead)
     if (carried := find_carried(context)) is not None:
         return start_carried(carried)
-    setting = arm_setting_of(context)
-    assert setting.scene is not None  # a case always checks clearance
-    scene = setting.scene.around_rough_head(ROUGH_MM)
-    setting = replace(setting, scene=scene)
-    context.progress(0.0, "choosing first looks at the skin")
-    looks = choose_looks(context, setting)
-    lines, theatre_s = _take_looks(context, setting, scene, looks)
-    context.progress(0.9, "searching the head by what the looks show")
     plan = context.result(CheckedPlan)
-    targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
-    room = context.result(GlobalLocalization)
-    prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
-    found = find_head(join_lines(lines), skin_of(context), measured.start, targets_mm, prior)
+    with void_measured_head(context):
+        found, looked = _survey(context, measured, plan)
+    lines = [line for one in looked for line in one.lines]
     pose, axes = found.robot_from_ct, HeadAxes.of(skin_of(context))
     turn_rad, place_mm = difference(
         pose_of(pose), pose_of(measured.robot_from_ct.transform), np.asarray(pose.apply(axes.centre_mm))
@@ -124,13 +140,49 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
                 rms_mm=float(np.sqrt(np.mean(used_mm**2))),
                 from_measured_mm=place_mm,
                 from_measured_rad=turn_rad,
-                theatre_s=theatre_s,
+                theatre_s=sum(one.theatre_s for one in looked),
             ),
         ),
         summary=f"found by {format_count(shown, 'look')}, {len(lines)} lines, "
         f"{tell_coverage(found.coverage)}, {place_mm:.0f} mm and {np.degrees(turn_rad):.0f} deg from where "
         f"it was measured{tell_site(site)}",
     )
+
+
+@contextmanager
+def void_measured_head(context: StepContext) -> Iterator[None]:
+    """Void what was measured if the head is not found there: the arm does not go to it again."""
+    try:
+        yield
+    except RonnaError as problem:
+        if not is_error(problem, *NOT_FOUND):
+            raise
+        again = problem.reworded(
+            problem.what,
+            expected=problem.expected,
+            limit=problem.limit,
+            got=problem.got,
+            action=f"{problem.advice} {MEASURED_AGAIN}",
+        )
+        context.void(MeasuredHead, again)
+        raise again from problem
+
+
+def _survey(
+    context: StepContext, measured: MeasuredHead, plan: CheckedPlan
+) -> tuple[SurfaceRegistration, tuple[ScannedLook, ...]]:
+    """Return the head by first looks, and the looks."""
+    setting = arm_setting_of(context)
+    assert setting.scene is not None  # a case always checks clearance
+    scene = setting.scene.around_rough_head(ROUGH_MM)
+    setting = replace(setting, scene=scene)
+    context.progress(0.0, "choosing first looks at the skin")
+    looked = _look(context, setting, scene, choose_looks(context, setting))
+    context.progress(0.9, "searching the head by what the looks show")
+    scan = join_lines([line for one in looked for line in one.lines])
+    targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
+    prior = prior_with_clamp(context)
+    return find_head(scan, skin_of(context), measured.start, targets_mm, prior), looked
 
 
 def choose_looks(context: StepContext, setting: ArmSetting) -> tuple[Reached, ...]:
@@ -152,40 +204,58 @@ def choose_looks(context: StepContext, setting: ArmSetting) -> tuple[Reached, ..
     )
 
 
-def _take_looks(
+def _look(
     context: StepContext, setting: ArmSetting, scene: PlanningScene, looks: Sequence[Reached]
-) -> tuple[list[ScannedLine], float]:
-    """Return the lines of all looks, and their theatre time, with the arm home again. Raises SRF-032."""
+) -> tuple[ScannedLook, ...]:
+    """Return all looks, with the arm home again. Raises SRF-032."""
     workcell = context.workcell
     workcell.master.mount.check(MountedTool.STEREO_HEAD)
     branch = setting.kinematics.branch_of(setting.start_rad)
     check = PathCheck(branch, tuple(looks), ())
     previews = [MotionPreview.of(one) for one in preview_motions(setting, scene, check, ())]
     centring = Centring(workcell, ONE_SIDE, WHOLE_PX, setting.approach_mm)
-    lines: list[ScannedLine] = []
-    dark: dict[str, str] = {}
     with workcell.master.supervised.announce_step_motions(announce_motions(previews, SMALL_STEPS)):
         around = scene.with_stereo_head(
             setting.robot_from_ct, workcell.master.flange_from(MountedTool.STEREO_HEAD)
         )
         workcell.master.surround(around, looks[len(looks) // 2].at_rad)
-        begin_looks(context, "before the first looks at the skin", SurfaceStart)
+        begin_looks(context, "before the first looks at the skin", CheckedPaths)
         workcell.sensors.read_whole()
-        began_s = read_time_s(workcell)
-        for number, one in enumerate(looks):
-            context.progress(0.1 + 0.8 * number / len(looks), f"first look {number + 1} of {len(looks)}")
-            scanner = LookScanner(context, number, _as_look(number, one), centring, ACROSS_MM)
-            seen = scanner.scan()
-            lines += seen
-            if not seen:
-                dark[str(number + 1)] = scanner.reason
-        theatre_s = read_time_s(workcell) - began_s
+        looked = take_looks(context, looks, centring)
         _go_home(workcell, centring)
     check_room(context, "after the first looks at the skin")
+    workcell.record_scanned_look(_name_of(context), None)
+    dark = {str(one.number + 1): one.reason for one in looked if not one.lines}
     for name, reason in dark.items():
         context.find(f"first look {name} at the skin shows no line: {reason}")
-    require_lines(lines, dark)
-    return lines, theatre_s
+    require_lines([line for one in looked for line in one.lines], dark)
+    return looked
+
+
+def take_looks(context: StepContext, looks: Sequence[Reached], centring: Centring) -> tuple[ScannedLook, ...]:
+    """Take the looks that are not kept, each on disk before the next. One that shows no line is not kept."""
+    workcell, name = context.workcell, _name_of(context)
+    kept = [ScannedLook.model_validate(one) for one in workcell.scanned_looks(name)]
+    if kept:
+        context.find(f"{len(kept)} of {len(looks)} first looks are kept from before the interruption")
+    done = {one.number: one for one in kept}
+    for number, one in enumerate(looks):
+        if number in done:
+            continue
+        context.progress(0.1 + 0.8 * number / len(looks), f"first look {number + 1} of {len(looks)}")
+        began_s = read_time_s(workcell)  # after a pause
+        scanner = LookScanner(context, number, _as_look(number, one), centring, ACROSS_MM)
+        lines = tuple(scanner.scan())
+        theatre_s = read_time_s(workcell) - began_s
+        done[number] = ScannedLook(number=number, lines=lines, reason=scanner.reason, theatre_s=theatre_s)
+        if lines:
+            workcell.record_scanned_look(name, done[number].model_dump(mode="json"))
+    return tuple(done[number] for number in sorted(done))
+
+
+def _name_of(context: StepContext) -> str:
+    """Return the name under which looks are kept: a measured head, which is void once something has moved."""
+    return context.identifier(MeasuredHead)
 
 
 def _go_home(workcell: Workcell, centring: Centring) -> None:
@@ -218,7 +288,7 @@ def find_head(
     require_start(pose_of(found.robot_from_ct), measured, HeadAxes.of(skin))
     middle_mm = np.asarray(found.robot_from_ct.apply(prior.sight.centre_mm))
     if objection := prior.check_position(found.robot_from_ct.rotation_matrix, middle_mm):
-        raise HeadElsewhere(f"by the first looks {objection}")
+        raise HeadElsewhere(f"by the first looks {objection}", action=OTHER_POSITION)
     return found
 
 

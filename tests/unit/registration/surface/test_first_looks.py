@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from coded_errors import raises
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from procedures.engine.context import StepContext
 from procedures.planning.skin_views import spread_rows
 from procedures.registration.errors import HeadElsewhere
-from procedures.registration.surface.errors import FAR_FROM_START
+from procedures.registration.surface.errors import FAR_FROM_START, HEAD_MOVED, NO_STATIONS, NOTHING_LIT
 from procedures.registration.surface.starts import Start
+from procedures.steps.clinical.correspondence import MeasuredHead
 from procedures.steps.clinical.surface.head_measurement import BY_TAPE
-from procedures.steps.clinical.surface.surface_survey import VIEWS, find_head
+from procedures.steps.clinical.surface.surface_survey import VIEWS, find_head, void_measured_head
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 
 TARGETS_MM = np.array([[-20.0, -20.0, -20.0], [0.0, 40.0, 0.0]])
@@ -61,3 +65,29 @@ def test_a_head_that_the_plan_has_otherwise_is_refused(heads, looked):
     made, scan = looked
     with pytest.raises(HeadElsewhere, match="by the first looks the head would be turned"):
         find_head(scan, heads[0], measure(made.truth), TARGETS_MM, allow("the head would be turned"))
+
+
+def void_after(problem: RonnaError) -> list[type]:
+    """Have first looks fail; return the models whose results are void."""
+    gone: list[type] = []
+    context = cast(StepContext, SimpleNamespace(void=lambda model, _reason: gone.append(model)))
+    with pytest.raises(RonnaError) as failed, void_measured_head(context):
+        raise problem
+    assert failed.value.code == problem.code
+    assert problem.summary in str(failed.value)
+    assert ("measured again" in failed.value.advice) == bool(gone)
+    return gone
+
+
+@pytest.mark.branch("HEAD_NOT_FOUND")
+@pytest.mark.parametrize(
+    "problem",
+    [FAR_FROM_START("far"), NO_STATIONS("few looks", got="3"), NOTHING_LIT("dark"), HeadElsewhere("turned")],
+    ids=lambda one: one.code,
+)
+def test_where_the_head_is_not_found_it_is_measured_again(problem):
+    assert void_after(problem) == [MeasuredHead]
+
+
+def test_a_head_that_moved_meanwhile_was_not_measured_wrongly():
+    assert void_after(HEAD_MOVED("the looks disagree")) == []

@@ -13,7 +13,7 @@ from procedures.engine.events import ScanProgress
 from procedures.journal.journal import Entry, Line
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import ScannedLine, ScannedLook
-from procedures.steps.clinical.surface import surface_scan
+from procedures.steps.clinical.surface import surface_scan, surface_survey
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.workcell import Workcell
 from ronna_hw.frames import Frame, Transform
@@ -83,7 +83,9 @@ class Scan:
                 scan.taken.append(self.number)
                 return [] if self.number == DARK else [line_of(self.number)]
 
-        monkeypatch.setattr(surface_scan, "LookScanner", Scanner)
+        for step in (surface_scan, surface_survey):
+            monkeypatch.setattr(step, "LookScanner", Scanner)
+        monkeypatch.setattr(surface_survey, "_as_look", lambda *_arguments: None)
         monkeypatch.setattr(surface_scan, "Centring", lambda *_arguments: None)
 
     def take(self) -> tuple[ScannedLook, ...]:
@@ -106,6 +108,16 @@ class Scan:
         )
         kept = [ScannedLook.model_validate(one) for one in self.cell.scanned_looks(self.paths)]
         return surface_scan._take_looks(context, cast(CheckedPaths, paths), kept)
+
+    def survey(self, measured: str = "08-head_measurement") -> tuple[ScannedLook, ...]:
+        """Take first looks at a measured head."""
+        context = SimpleNamespace(
+            workcell=self.cell,
+            identifier=lambda _model: measured,
+            progress=lambda _share, _text: None,
+            find=lambda _text: None,
+        )
+        return surface_survey.take_looks(cast(StepContext, context), cast(Any, range(LOOKS)), cast(Any, None))
 
 
 def at(number: int) -> Transform:
@@ -150,6 +162,20 @@ def test_looks_of_another_path_check_are_not_kept(scan: Scan) -> None:
         scan.take()
     scan.taken, scan.stops_at, scan.paths = [], LOOKS, "14-path_check"
     scan.take()
+    assert scan.taken == list(range(LOOKS))
+
+
+def test_first_looks_that_were_interrupted_are_kept_until_the_head_is_measured_again(scan: Scan) -> None:
+    scan.stops_at = 3
+    with pytest.raises(Interrupted):
+        scan.survey()
+    scan.taken, scan.stops_at = [], LOOKS
+    looks = scan.survey()
+    assert scan.taken == [DARK, 3, 4]
+    assert [one.number for one in looks] == list(range(LOOKS))
+    assert looks[0].lines == (line_of(0),)
+    scan.taken = []
+    scan.survey("10-head_measurement")
     assert scan.taken == list(range(LOOKS))
 
 

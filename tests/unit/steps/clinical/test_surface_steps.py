@@ -18,6 +18,8 @@ from procedures.imaging.head_landmarks import find_landmark
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import FiducialKind
+from procedures.registration.errors import HeadElsewhere
+from procedures.registration.room_prior import HeadSight, RoomPrior
 from procedures.registration.surface.errors import (
     ARM_NOT_CALIBRATED,
     HALF_A_HEAD,
@@ -26,7 +28,6 @@ from procedures.registration.surface.errors import (
     NO_STATIONS,
     NOTHING_LIT,
 )
-from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface import Surface
 from procedures.relocalization.errors import NoLine, PairNotUsable
 from procedures.runs.case import strategy_of
@@ -41,9 +42,10 @@ from procedures.steps.clinical.results import (
     ScannedLine,
     ScannedSurface,
 )
-from procedures.steps.clinical.surface import skin_in_ct, surface_paths, surface_scan
+from procedures.steps.clinical.surface import skin_in_ct, surface_paths
 from procedures.steps.clinical.surface.head_measurement import BY_TAPE
-from procedures.steps.clinical.surface.surface_start import BY_POINTER, LandmarkReading, require_fit
+from procedures.steps.clinical.surface.landmark_reading import BY_POINTER, LandmarkReading, place_head
+from procedures.steps.clinical.surface.look_scanner import require_lines
 from procedures.workcell import line_look
 from ronna_hw.arrays import Array
 from ronna_hw.command_line.errors import UsageMistake
@@ -174,7 +176,7 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.branch("DARK_SCAN")
 def test_a_scan_without_any_line_is_refused_with_the_reason() -> None:
     with raises(NOTHING_LIT, match="no laser line"):
-        surface_scan.require_lines([], {"1": "no laser line in view"})
+        require_lines([], {"1": "no laser line in view"})
 
 
 @pytest.mark.parametrize("usable", [True, False])
@@ -239,16 +241,18 @@ TOUCHED_MM = IN_CT_MM + np.array([900.0, 0.0, 200.0])
 NOSE_BESIDE_MM = np.array([[28.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
-def place(touched_mm: Array, reading: LandmarkReading = BY_POINTER) -> Array:
-    """Fit a head whose vertex must be up; return how far the landmarks are from their fit."""
-    prior = SimpleNamespace(
-        sight=SimpleNamespace(centre_mm=np.zeros(3)),
-        check_position=lambda rotation, _middle_mm: (
-            "" if rotation[2, 2] > 0.0 else "the head would be turned"
-        ),
-    )
-    pose = Start.from_landmarks(IN_CT_MM, touched_mm).robot_from_ct
-    return require_fit(IN_CT_MM, touched_mm, pose, cast(Any, prior), deviation_mm=reading.deviation_mm)
+CLAMP_MM = TOUCHED_MM.mean(axis=0) + np.array([0.0, 230.0, -60.0])
+SEMI_AXES_MM = np.array([75.0, 95.0, 85.0])
+TRACKER_MM = np.array([[1500.0, 1200.0, 1500.0]])
+
+
+def place(
+    touched_mm: Array, reading: LandmarkReading = BY_POINTER, clamp_mm: Array | None = CLAMP_MM
+) -> Array:
+    """Fit the head of a patient who lies face up, the vertex away; return how far the landmarks are off."""
+    sight = HeadSight(np.zeros(3), SEMI_AXES_MM, TRACKER_MM)
+    sits = RoomPrior(np.array([0.0, -1.0, 0.0]), (60.0, 90.0), 30.0, sight, clamp_mm)
+    return place_head(IN_CT_MM, touched_mm, sits, reading)[1]
 
 
 def test_landmarks_touched_as_well_as_skin_permits_place_the_head() -> None:
@@ -273,10 +277,49 @@ def test_a_tape_may_err_by_centimetres_and_a_pointer_may_not() -> None:
         (0.1 * TOUCHED_MM, "PRO-007", r"\(in cm\?\)"),
         (TOUCHED_MM[[0, 2, 1]], "REG-013", "the ears may have been exchanged"),
         (TOUCHED_MM[[1, 0, 2]], "PRO-007", r"from their fit: tip of the nose \d+ mm, left ear"),
+        (TOUCHED_MM[[1, 0, 2]], "PRO-007", "the tip of the nose and the left ear may have been exchanged"),
+        (
+            TOUCHED_MM[[1, 2, 0]],
+            "PRO-007",
+            "in another order: left ear, right ear, tip of the nose",
+        ),
+        (TOUCHED_MM[[0, 1, 1]], "REG-004", "two of nose and ears were read at the same place"),
+        (0.001 * TOUCHED_MM, "REG-004", r"\(in m\?\)"),
     ],
 )
 def test_a_mistyped_landmark_is_refused_with_the_slip_that_explains_it(
     touched_mm: Array, code: str, said: str
 ) -> None:
-    with pytest.raises(RonnaError, match=f"{code}: .*{said}"):
+    with pytest.raises(RonnaError, match=f"{code}: .*{said}.*touch the point and read it again"):
         place(touched_mm)
+
+
+@pytest.mark.parametrize(
+    ("measured_mm", "code"),
+    [
+        (TOUCHED_MM + 3.0 * NOSE_BESIDE_MM, "PRO-007"),
+        (TOUCHED_MM[[0, 2, 1]], "REG-013"),
+        (TOUCHED_MM[[0, 1, 1]], "REG-004"),
+    ],
+)
+def test_whoever_held_the_tape_wrongly_is_told_how_to_measure_again(measured_mm: Array, code: str) -> None:
+    with pytest.raises(
+        RonnaError, match=f"{code}: .*Measure again.*tip of the nose.*left ear, then the right"
+    ):
+        place(measured_mm, BY_TAPE)
+
+
+@pytest.mark.parametrize(
+    ("from_mm", "said"),
+    [
+        ((400.0, 0.0, 0.0), "mm from the frame on its clamp, limit 400 mm"),
+        ((0.0, 230.0, -60.0), "would hide the frame on its clamp"),
+        ((50.0, 280.0, 40.0), "would hide the frame on its clamp"),
+    ],
+    ids=["a tape held from another place", "about the frame itself", "between the frame and the tracker"],
+)
+def test_a_head_that_its_clamp_does_not_allow_is_refused(from_mm: tuple[float, ...], said: str) -> None:
+    measured_mm = TOUCHED_MM + np.array(from_mm)
+    assert place(measured_mm, BY_TAPE, clamp_mm=None).max() < 1.0
+    with raises(HeadElsewhere, match=said):
+        place(measured_mm, BY_TAPE)
