@@ -33,7 +33,11 @@ def encode_scan_ply(scan: SurfaceScan, frame: Frame = Frame.ROBOT) -> bytes:
         "look": scan.look.astype("<i4"),
         "line": scan.line.astype("<i4"),
     }
-    return encode_ply(columns, f"points of a scanned surface, mm, in the frame {frame}; covariances in mm2")
+    return encode_ply(
+        columns,
+        f"points of a scanned surface, mm, in the frame {_describe(frame)}; covariances in mm2, of the "
+        "measurement of each point alone",
+    )
 
 
 def encode_ply(columns: Mapping[str, NDArray[Any]], comment: str) -> bytes:
@@ -61,7 +65,7 @@ def encode_scan_vtp(scan: SurfaceScan, frame: Frame = Frame.ROBOT) -> bytes:
     root = ElementTree.Element("VTKFile", type="PolyData", version="1.0", byte_order="LittleEndian")
     data = ElementTree.SubElement(root, "PolyData")
     field = ElementTree.SubElement(data, "FieldData")
-    codes = " ".join(str(code) for code in f"{frame}, mm".encode("ascii"))
+    codes = " ".join(str(code) for code in f"{_describe(frame)}, mm".encode("ascii"))
     name = ElementTree.SubElement(
         field, "DataArray", type="String", Name="frame", NumberOfTuples="1", format="ascii"
     )
@@ -78,6 +82,10 @@ def encode_scan_vtp(scan: SurfaceScan, frame: Frame = Frame.ROBOT) -> bytes:
     _add(cells, "connectivity", np.arange(len(scan)))
     _add(cells, "offsets", np.arange(len(scan)) + 1)
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _describe(frame: Frame) -> str:
+    return f"{frame} (LPS)" if frame is Frame.CT else str(frame)
 
 
 def _tensor(scan: SurfaceScan) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Errors in stereo head measurements, STE-001 to STE-019. Data errors are also `ValueError`s."""
+"""Errors in stereo head measurements, STE-001 to STE-020. Data errors are also `ValueError`s."""
 
 from __future__ import annotations
 
@@ -138,7 +138,8 @@ LINE_MOVED = ErrorCode(
     "STE-018",
     RefusedError,
     "The plane or the width of the laser line differs from its record.",
-    "Check the projector's mount and focus, and the head with ronna-stereo check; record the line again.",
+    "Check that both pictures are this head's and not exchanged, the projector's mount and focus, and "
+    "the head with ronna-stereo check. To record the line anew, remove laser-line.json beside the baseline.",
 )
 
 
@@ -147,4 +148,12 @@ NO_LINE_PICTURES = ErrorCode(
     DataError,
     "The folder has no pairs of pictures of a laser line, or one of them cannot be read.",
     "Give a folder with NAME-left.png and NAME-right.png; without the line, NAME-left-dark.png and so on.",
+)
+
+
+LINE_PLANE_UNKNOWN = ErrorCode(
+    "STE-020",
+    DataError,
+    "The pictures of the laser line do not tell its plane.",
+    "Take pictures of the line at three or more distances, 5 mm apart, and give them all.",
 )

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from procedures.relocalization.errors import LINE_MOVED
+from procedures.relocalization.errors import LINE_MOVED, LINE_PLANE_UNKNOWN
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.robust_scale import robust_sigma
@@ -18,6 +18,9 @@ LARGEST_SHIFT_MM = 0.1  # of the plane at the tool centre point; a line is about
 LARGEST_TURN_RAD = 0.005  # 0.1 mm at the ends of a line of 24 mm, twice over
 LARGEST_WIDENING = 0.3  # relative
 OUTLIER_SIGMAS = 4.0
+# Of the points within the plane, across the lines: one line, and lines at one distance, leave its turn open.
+# Safety against a record that later blames a sound projector. Source: three distances, 5 mm apart, have 4 mm.
+LEAST_SPREAD_MM = 2.0
 
 
 @dataclass(frozen=True)
@@ -95,11 +98,18 @@ def fit_plane(points_mm: Array) -> LightPlane:
 def record_line(lines_mm: Sequence[Array], widths_mm: Sequence[float]) -> LineRecord:
     """Fit the plane of the light to lines (n, 3) each, scanned at different distances, and keep the width.
 
-    Points further off than four times the usual scatter are left out.
+    Points further off than four times the usual scatter are left out. Raises STE-020 if the lines hardly
+    differ in distance.
     """
     points = np.concatenate(lines_mm)
     distance = fit_plane(points).distance_mm(points)
     plane = fit_plane(points[np.abs(distance) <= OUTLIER_SIGMAS * robust_sigma(distance)])
+    if plane.spread_mm[1] < LEAST_SPREAD_MM:
+        raise LINE_PLANE_UNKNOWN(
+            "the lines lie at nearly the same distance",
+            limit=f"{LEAST_SPREAD_MM:g} mm between them, standard deviation",
+            got=f"{plane.spread_mm[1]:.2g} mm",
+        )
     x, y, z = plane.normal.tolist()
     return LineRecord(
         normal=(x, y, z),

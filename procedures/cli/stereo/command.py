@@ -16,6 +16,7 @@ from ronna_hw.command_line.options import with_option_records
 if TYPE_CHECKING:
     from procedures.engine.case import Case
     from procedures.relocalization import SphereImage
+    from procedures.relocalization.light_plane import LineRecord
     from procedures.reporting.calibration_figures import BallFigures, HeadCheckFigures
     from procedures.workcell.stereo_look import Look
     from ronna_hw.calibration import StereoHeadCalibration
@@ -97,8 +98,6 @@ def check(
         )
     recorded = read_strict(Baseline, file)
     recorded.require_complete()
-    if line is not None:
-        _check_line(line, file.with_name(LINE_FILE), recorded.stereo_head)
     from procedures.cli.calibrating.calibration import check_calibration
     from procedures.runs.calibrations import head_check_figures
     from procedures.runs.request import Measurement
@@ -118,7 +117,10 @@ def check(
     measurement = Measurement(steps=steps, title="Check of the stereo head", in_use=in_use)
     request = replace(theatre, procedure=measurement)
     activity = "measuring the ball"
+    measured = None if line is None else _measure_line(line, recorded.stereo_head)
     check_calibration(request, options.out, activity, judge, _print_check, as_json=options.as_json)
+    if measured is not None:
+        _check_line(measured, file.with_name(LINE_FILE))
 
 
 @app.command()
@@ -166,17 +168,22 @@ def measure(
         write_figures(show_look(measured_look, as_json=options.as_json), folder)
 
 
-def _check_line(pictures: Path, file: Path, head: StereoHeadCalibration) -> None:
+def _measure_line(pictures: Path, head: StereoHeadCalibration) -> LineRecord:
+    """Measure plane and width of the laser line before anything moves. Raises STE-019, STE-020."""
+    from procedures.relocalization.line_pictures import record_pictures
+
+    return record_pictures(pictures, head)
+
+
+def _check_line(measured: LineRecord, file: Path) -> None:
     """Compare plane and width of the laser line with their record, or record them for the first time.
 
-    Raises STE-018 if they differ.
+    By a head that has just passed its own check: another's line must not become the record. Raises STE-018.
     """
     from procedures.calibration.observations import read_strict
     from procedures.relocalization.light_plane import LineRecord
-    from procedures.relocalization.line_pictures import record_pictures
     from ronna_hw.records import write_atomically
 
-    measured = record_pictures(pictures, head)
     pairs = f"laser line in {measured.lines} pair{'s' if measured.lines > 1 else ''} of pictures"
     if not file.exists():
         write_atomically(file, measured.model_dump_json(indent=1).encode())

@@ -153,8 +153,8 @@ def require_agreement(changed: ChangedSkin | None, limits: SurfaceLimits) -> Non
     if changed is not None and changed.points.mean() > limits.most_changed:
         raise SKIN_CHANGED(
             f"the skin is elsewhere at {', '.join(changed.parts)}",
-            limit=f"{limits.most_changed:.0%} of the scan",
-            got=f"{changed.points.mean():.0%}, by {changed.shift_mm:.1f} mm",
+            limit=f"{limits.most_changed:.1%} of the scan",
+            got=f"{changed.points.mean():.1%}, by {changed.shift_mm:.1f} mm",
         )
 
 

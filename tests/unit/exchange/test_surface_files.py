@@ -33,7 +33,7 @@ def test_ply_names_its_columns_and_keeps_every_digit(scan: SurfaceScan) -> None:
     kinds = {"double": "<f8", "int": "<i4"}
     rows = np.frombuffer(body, dtype=[(name, kinds[kind]) for kind, name in properties])
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
-    assert "in the frame ct" in lines[2]
+    assert "in the frame ct (LPS)" in lines[2]
     np.testing.assert_array_equal(np.column_stack([rows[each] for each in "xyz"]), scan.points_mm)
     np.testing.assert_array_equal(rows["covariance_yz"], scan.covariance_mm2[:, 1, 2])
     assert rows["look"].tolist() == [0, 0, 1, 1, 1]

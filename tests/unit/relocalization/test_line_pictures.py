@@ -41,6 +41,15 @@ def test_plane_and_width_are_recorded(head: Any, tmp_path: Path) -> None:
     assert record.width_mm == pytest.approx(WIDTH_PX * 250.0 / (62.5e3 / 5.5), rel=0.1)
 
 
+@pytest.mark.parametrize("depths_mm", [[0.0], [0.0, 0.5]])
+def test_lines_at_one_distance_do_not_tell_the_plane(
+    depths_mm: list[float], head: Any, tmp_path: Path
+) -> None:
+    draw_pictures(tmp_path, head.calibration, depths_mm)
+    with pytest.raises(DataError, match="STE-020"):
+        record_pictures(tmp_path, head.calibration)
+
+
 @pytest.mark.parametrize("name", ["nothing.txt", "1-left.png"])
 def test_a_folder_without_pairs_of_pictures_is_refused(name: str, head: Any, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"no picture")
