@@ -82,7 +82,9 @@ def check(
 
     planned = read_plan(plan_file)
     require_spheres(planned)
-    volume, fiducials_mm, uncounted = planning_inputs.read_ct(series_dir, markers)
+    volume, fiducials_mm, uncounted = planning_inputs.read_ct(
+        series_dir, markers, are_implanted=planned.implanted > 0
+    )
     result = check_plan(
         planned,
         volume,

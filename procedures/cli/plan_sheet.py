@@ -47,7 +47,9 @@ def sheet(
     theatre = None if config is None else read_theatre_file(config)
     plan = read_plan(plan_file)
     require_spheres(plan)
-    volume, found, uncounted = read_localized_ct(series_dir, needs_markers=False)
+    volume, found, uncounted = read_localized_ct(
+        series_dir, needs_markers=False, are_implanted=plan.implanted > 0
+    )
     from procedures.reporting.case_sheet.sheet import SheetTheatre
 
     stated = SheetTheatre() if theatre is None else SheetTheatre.of_file(theatre)

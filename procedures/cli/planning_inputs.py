@@ -155,16 +155,16 @@ def _read_registration(folder: Path, plan: Plan) -> FramedPose:
 
 
 def read_ct(
-    series_dir: Path, needs_markers: bool
+    series_dir: Path, needs_markers: bool, *, are_implanted: bool = True
 ) -> tuple[Volume, list[tuple[float, float, float]] | None, tuple[str, ...]]:
     """Read a series; return the volume, any marker centres, and remarks, such as why centres are missing."""
-    volume, found, remarks = read_localized_ct(series_dir, needs_markers)
+    volume, found, remarks = read_localized_ct(series_dir, needs_markers, are_implanted=are_implanted)
     centres_mm = None if found is None else [marker.centre_mm for marker in found.markers]
     return volume, centres_mm, remarks
 
 
 def read_localized_ct(
-    series_dir: Path, needs_markers: bool
+    series_dir: Path, needs_markers: bool, *, are_implanted: bool = True
 ) -> tuple[Volume, Localization | None, tuple[str, ...]]:
     """Read a series; return the volume, any markers found in it, and remarks, such as why there are none."""
     from procedures.imaging import localize, read_series
@@ -172,6 +172,8 @@ def read_localized_ct(
 
     with terminal.progress_bar("reading the series") as advance:
         volume = read_series(series_dir, progress=lambda share: advance(share * READING_SHARE))
+        if not (needs_markers or are_implanted):
+            return volume, None, ()
         try:
             found = localize(
                 volume, progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share)
