@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from procedures.relocalization.light_plane import LineRecord
     from procedures.reporting.calibration_figures import BallFigures, HeadCheckFigures
     from procedures.workcell.stereo_look import Look
-    from ronna_hw.calibration import StereoHeadCalibration
     from ronna_hw.config import Calibrations
 
 Triple = tuple[float, float, float]
@@ -117,7 +116,9 @@ def check(
     measurement = Measurement(steps=steps, title="Check of the stereo head", in_use=in_use)
     request = replace(theatre, procedure=measurement)
     activity = "measuring the ball"
-    measured = None if line is None else _measure_line(line, recorded.stereo_head)
+    from procedures.relocalization.line_pictures import record_pictures
+
+    measured = None if line is None else record_pictures(line, recorded.stereo_head)  # before anything moves
     check_calibration(request, options.out, activity, judge, _print_check, as_json=options.as_json)
     if measured is not None:
         _check_line(measured, file.with_name(LINE_FILE))
@@ -166,13 +167,6 @@ def measure(
         from procedures.reporting.calibration_figures import write_figures
 
         write_figures(show_look(measured_look, as_json=options.as_json), folder)
-
-
-def _measure_line(pictures: Path, head: StereoHeadCalibration) -> LineRecord:
-    """Measure plane and width of the laser line before anything moves. Raises STE-019, STE-020."""
-    from procedures.relocalization.line_pictures import record_pictures
-
-    return record_pictures(pictures, head)
 
 
 def _check_line(measured: LineRecord, file: Path) -> None:

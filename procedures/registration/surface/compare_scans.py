@@ -124,11 +124,8 @@ def _read_before(
     before: Settled, first: SurfaceScan, kept: Mask, after: Settled
 ) -> tuple[Array, Array, Mask]:
     """Return the first scan's mean distance around points of the second, its noise, and where it is."""
-    places, distances, noise = (
-        before.places_mm[kept],
-        before.distances_mm[kept],
-        first.noise_along_mm2(before.directions)[kept],
-    )
+    places, distances = before.places_mm[kept], before.distances_mm[kept]
+    noise = first.noise_along_mm2(before.directions)[kept]
     apart, near = cKDTree(places).query(after.places_mm, k=NEIGHBOURS, distance_upper_bound=COMMON_MM)
     there = np.isfinite(apart)
     near = np.where(there, near, 0)
