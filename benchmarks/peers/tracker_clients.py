@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.tracking import FRAME_OPTIONS
+from drivers.ndi_polaris.replies import FRAME_OPTIONS
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 

@@ -84,6 +84,12 @@ class PolarisOptions(Strict):
     stray_to_marker_mm: Annotated[
         float, Field(gt=0, description="A stray within this distance of a tool's marker is that marker.")
     ] = 5.75
+    first_marker_is_first_digit: Annotated[
+        bool, Field(description="TX states the markers of a tool from the first on (unconfirmed).")
+    ] = True
+    first_marker_is_first_nibble: Annotated[
+        bool, Field(description="BX states the markers of a tool from the first on (unconfirmed).")
+    ] = False
     time_limits_s: Annotated[
         dict[str, Annotated[float, Field(gt=0)]],
         Field(default_factory=dict, description="Time limits by command that override the unit's own."),

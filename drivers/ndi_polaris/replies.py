@@ -1,4 +1,4 @@
-"""Decoding of TX and BX replies with options 0001, 0800 and 1000, and assembly of readings. No I/O."""
+"""Decoding of TX and BX replies with options 0001, 0002, 0800 and 1000, and assembly of readings. No I/O."""
 
 from __future__ import annotations
 
@@ -14,22 +14,31 @@ from drivers.ndi_polaris.unit import DOUBTFUL_STATUS
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.vectors import Quaternion, Vector3
 from ronna_hw.wire import polaris as ndi
-from ronna_hw.wire.polaris import HandleStatus, PortStatus
+from ronna_hw.wire.polaris import HandleStatus, MarkerState, PortStatus, ReplyOption
 
+FRAME_OPTIONS = (
+    ReplyOption.TRANSFORMS
+    | ReplyOption.TOOL_INFORMATION
+    | ReplyOption.OUT_OF_VOLUME
+    | ReplyOption.STRAY_PASSIVE
+)
+LEAST_USED = 3  # markers of a pose: a unit that states fewer has another order of the digits
 NORM_TOLERANCE = 1e-2  # rounding in TX changes the norm by 1e-4; beyond this it is not a rotation
 FARTHEST_MM = 9999.99  # limit of the unit's text format
 DISTURBED = 0x7F00  # every bit above the low byte reports a disturbed measurement
 REMARKABLE_PORT_STATUS = int(PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME) | DISTURBED
 _BX_POSE = struct.Struct("<8f2I")  # Q0 Qx Qy Qz Tx Ty Tz error, port status, frame
 _BX_STATUS_AND_FRAME = struct.Struct("<2I")
+_BX_INFORMATION = struct.Struct(f"<B{ndi.MARKER_DIGITS // 2}s")  # tool information, a marker each half byte
 _BX_POSITION = struct.Struct("<3f")
 _BX_SYSTEM_STATUS = struct.Struct("<H")
 _QUATERNION = rf"([+-][0-9]{{{ndi.TX_QUATERNION_CHARACTERS - 1}}})"
 _POSITION = rf"([+-][0-9]{{{ndi.TX_POSITION_CHARACTERS - 1}}})"
 _ERROR = rf"([+-][0-9]{{{ndi.TX_ERROR_CHARACTERS - 1}}})"
 _STATUS_AND_FRAME = rf"([0-9A-F]{{{ndi.TX_PORT_STATUS_DIGITS}}})([0-9A-F]{{{ndi.TX_FRAME_DIGITS}}})"
-_VALID = re.compile(_QUATERNION * 4 + _POSITION * 3 + _ERROR + _STATUS_AND_FRAME)
-_MISSING = re.compile(ndi.REPLY_MISSING + _STATUS_AND_FRAME)
+_INFORMATION = rf"(?:[0-9A-F]{{2}}([0-9A-F]{{{ndi.MARKER_DIGITS}}}))?"
+_VALID = re.compile(_QUATERNION * 4 + _POSITION * 3 + _ERROR + _STATUS_AND_FRAME + _INFORMATION)
+_MISSING = re.compile(ndi.REPLY_MISSING + _STATUS_AND_FRAME + _INFORMATION)
 # Clients differ on whether a disabled or empty handle carries status and frame: both are accepted.
 _ABSENT = re.compile(f"({ndi.REPLY_DISABLED}|{ndi.REPLY_UNOCCUPIED})(?:{_STATUS_AND_FRAME})?")
 _HEX2 = re.compile("[0-9A-F]{2}")
@@ -42,7 +51,8 @@ _STRAY = re.compile(_POSITION * 3)
 class HandleReport(NamedTuple):
     """State of one handle, with pose and error only for a visible tool.
 
-    Port status and frame also for a missing tool, neither for a disabled or unoccupied handle.
+    Port status and frame also for a missing tool, neither for a disabled or unoccupied handle. The marker
+    digits are hexadecimal, marker 0 first, and empty if not requested.
     """
 
     handle: int
@@ -51,6 +61,7 @@ class HandleReport(NamedTuple):
     fit_error_mm: float | None = None
     port_status: int = 0  # bits of PortStatus
     frame: int | None = None
+    marker_digits: str = ""
 
 
 class TrackingReply(NamedTuple):
@@ -62,39 +73,48 @@ class TrackingReply(NamedTuple):
     system_status: int  # bits of SystemStatus
 
 
-def decode_bx(body: bytes, *, strays: bool = True) -> TrackingReply:
-    """Decode a BX reply body with checked CRC; `strays` states whether option 1000 was requested.
+def decode_bx(
+    body: bytes, options: ReplyOption = FRAME_OPTIONS, *, first_marker_first: bool = False
+) -> TrackingReply:
+    """Decode a BX reply body with checked CRC to a request with these options.
 
-    Raises NDI-006 when the body does not match the options.
+    Raises NDI-006 when the body does not match them.
     """
     try:
-        return _decode_bx_body(body, strays)
+        return _decode_bx_body(body, options, first_marker_first)
     except (struct.error, IndexError) as error:
         raise MalformedReply("a BX reply is too short", wire=body) from error
 
 
-def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
+def _decode_bx_body(body: bytes, options: ReplyOption, first_marker_first: bool) -> TrackingReply:
     offset = 1
     handles = []
+    with_information = bool(options & ReplyOption.TOOL_INFORMATION)
     for _ in range(body[0]):
         number, status = body[offset], body[offset + 1]
         offset += 2
         if status == HandleStatus.VALID:
             q0, qx, qy, qz, tx, ty, tz, fit, port, frame = _BX_POSE.unpack_from(body, offset)
             offset += _BX_POSE.size
-            rotation, position = (q0, qx, qy, qz), (tx, ty, tz)
-            handles.append(HandleReport(number, rotation, position, fit, port, frame))
+            report = HandleReport(number, (q0, qx, qy, qz), (tx, ty, tz), fit, port, frame)
         elif status == HandleStatus.MISSING:
             port, frame = _BX_STATUS_AND_FRAME.unpack_from(body, offset)
             offset += _BX_STATUS_AND_FRAME.size
-            handles.append(HandleReport(number, port_status=port, frame=frame))
-        elif status == HandleStatus.DISABLED:
+            report = HandleReport(number, port_status=port, frame=frame)
+        elif status == HandleStatus.DISABLED:  # no options apply
             handles.append(HandleReport(number))
+            continue
         else:
             raise MalformedReply(f"BX: unknown status {status:02X} of handle {number:02X}", wire=body)
+        if with_information:
+            _, nibbles = _BX_INFORMATION.unpack_from(body, offset)
+            offset += _BX_INFORMATION.size
+            digits = nibbles.hex().upper()
+            report = report._replace(marker_digits=digits if first_marker_first else digits[::-1])
+        handles.append(report)
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
-    if with_strays:
+    if options & ReplyOption.STRAY_PASSIVE:
         positions, outside, offset = _unpack_bx_strays(body, offset)
     (system,) = _BX_SYSTEM_STATUS.unpack_from(body, offset)
     if offset + _BX_SYSTEM_STATUS.size != len(body):
@@ -117,19 +137,24 @@ def _unpack_bx_strays(body: bytes, offset: int) -> tuple[tuple[Vector3, ...], tu
     return positions, outside if sent == count else None, offset + sent * _BX_POSITION.size
 
 
-def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
-    """Decode a TX reply text with checked CRC; `strays` states whether option 1000 was requested.
+def decode_tx(
+    text: str, options: ReplyOption = FRAME_OPTIONS, *, first_marker_first: bool = True
+) -> TrackingReply:
+    """Decode a TX reply text with checked CRC to a request with these options.
 
-    Raises NDI-006 when the text does not match the options.
+    Raises NDI-006 when the text does not match them.
     """
     count = _parse_hex2(text[:2], "number of handles", text)
     *records, tail = text[2:].split(ndi.LF)
     if len(records) != count:
         raise _malformed_error(f"TX announces {count} handles but sends {len(records)}", text)
-    handles = tuple(_parse_tx_handle(record, text) for record in records)
+    with_information = bool(options & ReplyOption.TOOL_INFORMATION)
+    handles = tuple(
+        _parse_tx_handle(record, text, with_information, first_marker_first) for record in records
+    )
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
-    if strays:
+    if options & ReplyOption.STRAY_PASSIVE:
         block, tail = tail[: -ndi.TX_SYSTEM_STATUS_DIGITS], tail[-ndi.TX_SYSTEM_STATUS_DIGITS :]
         positions, outside = _parse_tx_strays(block, text)
     if not _STATUS.fullmatch(tail):
@@ -137,19 +162,26 @@ def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
     return TrackingReply(handles, positions, outside, int(tail, 16))
 
 
-def _parse_tx_handle(record: str, text: str) -> HandleReport:
+def _parse_tx_handle(
+    record: str, text: str, with_information: bool, first_marker_first: bool
+) -> HandleReport:
     number, content = _parse_hex2(record[:2], "handle", text), record[2:]
-    if match := _VALID.fullmatch(content):
+    match = _VALID.fullmatch(content) or _MISSING.fullmatch(content)
+    if match is None:
+        if _ABSENT.fullmatch(content):
+            return HandleReport(number)
+        raise _malformed_error(f"unknown form of the TX record of handle {number:02X}", text)
+    digits = match[match.re.groups] or ""
+    if bool(digits) is not with_information:
+        raise _malformed_error(f"the TX record of handle {number:02X} does not match the options", text)
+    digits = digits if first_marker_first else digits[::-1]
+    if match.re is _VALID:
         sent = [int(value) for value in match.groups()[:8]]
         w, x, y, z = (value / ndi.TX_QUATERNION_SCALE for value in sent[:4])
         tx, ty, tz = (value / ndi.TX_POSITION_SCALE for value in sent[4:7])
         fit_error_mm, port_status, frame = sent[7] / ndi.TX_ERROR_SCALE, int(match[9], 16), int(match[10], 16)
-        return HandleReport(number, (w, x, y, z), (tx, ty, tz), fit_error_mm, port_status, frame)
-    if match := _MISSING.fullmatch(content):
-        return HandleReport(number, port_status=int(match[1], 16), frame=int(match[2], 16))
-    if _ABSENT.fullmatch(content):
-        return HandleReport(number)
-    raise _malformed_error(f"unknown form of the TX record of handle {number:02X}", text)
+        return HandleReport(number, (w, x, y, z), (tx, ty, tz), fit_error_mm, port_status, frame, digits)
+    return HandleReport(number, port_status=int(match[1], 16), frame=int(match[2], 16), marker_digits=digits)
 
 
 def _parse_tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None]:
@@ -213,7 +245,8 @@ def assemble_frame(
     for tool in tools:
         if tool.name is None or tool.definition is None:
             continue
-        reading = _make_tool_reading(tool.name, reports.get(tool.handle), frame)
+        markers = len(tool.definition.markers_mm)
+        reading = _make_tool_reading(tool.name, reports.get(tool.handle), frame, markers)
         readings.append(reading)
         if reading.rotation is not None:
             tracked_tools.append((tool, reading))
@@ -225,7 +258,7 @@ def assemble_frame(
     return TrackerFrame(stamp, validity, tuple(readings), strays)
 
 
-def _make_tool_reading(name: str, report: HandleReport | None, frame: int) -> ToolReading:
+def _make_tool_reading(name: str, report: HandleReport | None, frame: int, markers: int) -> ToolReading:
     if report is None or report.rotation is None or report.position_mm is None:
         outside = report is not None and report.port_status & PortStatus.OUT_OF_VOLUME.value
         return ToolReading(name, Validity.OUT_OF_VOLUME if outside else Validity.MISSING, None, None, None)
@@ -233,7 +266,15 @@ def _make_tool_reading(name: str, report: HandleReport | None, frame: int) -> To
     plausible = error_mm is not None and 0 <= error_mm <= FARTHEST_MM
     if rotation is None or not plausible or not _is_plausible_position(report.position_mm):
         return ToolReading(name, Validity.CORRUPT, None, None, None)
-    return ToolReading(name, _report_validity(report, frame), rotation, report.position_mm, error_mm)
+    used = tuple(digit == str(MarkerState.USED.value) for digit in report.marker_digits[:markers])
+    return ToolReading(
+        name,
+        _report_validity(report, frame),
+        rotation,
+        report.position_mm,
+        error_mm,
+        used if sum(used) >= LEAST_USED else None,
+    )
 
 
 def _report_validity(report: HandleReport, frame: int) -> Validity:

@@ -13,13 +13,19 @@ from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import HandleRefused, UnitError, UnitRestarted, WrongMode
 from drivers.ndi_polaris.measuring_volume import MeasuringVolume
 from drivers.ndi_polaris.options import PolarisOptions
-from drivers.ndi_polaris.replies import TrackingReply, assemble_frame, decode_bx, decode_tx, frame_number
+from drivers.ndi_polaris.replies import (
+    FRAME_OPTIONS,
+    TrackingReply,
+    assemble_frame,
+    decode_bx,
+    decode_tx,
+    frame_number,
+)
 from drivers.ndi_polaris.tool_loading import LoadedTool
 from drivers.ndi_polaris.unit import ALARMING_STATUS, find_alarm
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import Stamp, TrackerFrame
 from ronna_hw.wire import polaris as ndi
-from ronna_hw.wire.polaris import ReplyOption
 
 FRAME_NUMBERS = 16**ndi.TX_FRAME_DIGITS  # the number wraps after 2.3 years
 NOMINAL_PERIOD_S = 1.0 / ndi.FRAME_RATE_HZ
@@ -28,8 +34,7 @@ WINDOWS_KEPT = 60  # a minute; the drift of a quartz is steady for longer
 LEAST_WINDOWS = 10  # with fewer the jitter dominates the slope
 LARGEST_DRIFT = 1e-3  # a quartz is within 1e-4; beyond this the nominal rate is the better estimate
 JUMP_S = 1.0  # a reply this early means that another client has reset the counter
-FRAME_OPTIONS = ReplyOption.TRANSFORMS | ReplyOption.OUT_OF_VOLUME | ReplyOption.STRAY_PASSIVE
-BYTES_PER_HANDLE = 80  # of TX, the longer form
+BYTES_PER_HANDLE = 102  # of TX, the longer form
 BYTES_PER_STRAY = 21
 LONGEST_WITHOUT_TOOLS_BYTES = ndi.BX_HEADER_BYTES + ndi.BX_CRC_BYTES + ndi.MAXIMUM_STRAYS * BYTES_PER_STRAY
 REPLIES_KEPT = 10  # of which the times are reported
@@ -129,12 +134,13 @@ class Tracking:
             if self._binary:
                 try:
                     body = self._link.ask_binary("BX", _OPTIONS_TEXT, reply_bytes=self._longest_reply_bytes)
-                    return decode_bx(body)
+                    return decode_bx(body, first_marker_first=self._options.first_marker_is_first_nibble)
                 except UnitError as error:
                     if self._options.reply == "BX" or isinstance(error, WrongMode | HandleRefused):
                         raise
                     self._binary = False  # this unit has no BX
-            return decode_tx(self._link.ask("TX", _OPTIONS_TEXT, reply_bytes=self._longest_reply_bytes))
+            text = self._link.ask("TX", _OPTIONS_TEXT, reply_bytes=self._longest_reply_bytes)
+            return decode_tx(text, first_marker_first=self._options.first_marker_is_first_digit)
         except WrongMode as error:
             raise UnitRestarted("the unit is no longer tracking") from error
 

@@ -39,7 +39,7 @@ TABLES = {
     ),
     "tracker.csv": (
         *("frame", "step", "theatre_time_s", "device_frame", "what", "name", "validity"),
-        *("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz", "fit_error_mm"),
+        *("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz", "fit_error_mm", "markers_used"),
     ),
     "arm.csv": (
         *("step", "theatre_time_s", "device", "call", "validity", "moving"),
@@ -199,9 +199,10 @@ def _frame_rows(number: int, frame: TrackerFrame, reading: RawReading) -> list[S
     rows: list[Sequence[Value]] = []
     for one in frame.tools:
         pose = (*(one.position_mm or (None,) * 3), *(one.rotation or (None,) * 4))
-        rows.append((*head, "tool", one.tool, one.validity.value, *pose, one.fit_error_mm))
+        used = None if one.markers_used is None else "".join(str(int(flag)) for flag in one.markers_used)
+        rows.append((*head, "tool", one.tool, one.validity.value, *pose, one.fit_error_mm, used))
     rows += [
-        (*head, "stray", number, one.validity.value, *one.position_mm, *(None,) * 5)
+        (*head, "stray", number, one.validity.value, *one.position_mm, *(None,) * 6)
         for number, one in enumerate(frame.strays, 1)
     ]
-    return rows or [(*head, "nothing", None, frame.validity.value, *(None,) * 8)]
+    return rows or [(*head, "nothing", None, frame.validity.value, *(None,) * 9)]

@@ -29,7 +29,13 @@ from procedures.room.sighting import (
 )
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
-from procedures.workcell.tracker_look import find_frame_name, list_poses, mean_pose, robot_from_marker
+from procedures.workcell.tracker_look import (
+    find_frame_name,
+    list_poses,
+    marker_shares,
+    mean_pose,
+    robot_from_marker,
+)
 from ronna_hw.arrays import Array
 from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.devices.readings import TrackerFrame
@@ -201,6 +207,7 @@ def _moved(seen: SeenFrame, move: Transform) -> SeenFrame:
         move.rotation_matrix @ seen.rotation,
         turn @ seen.covariance @ turn.T,
         move.apply(seen.markers_mm),
+        seen.shares,
     )
 
 
@@ -223,7 +230,8 @@ def room_reading(
     for body, name in tracked.items():
         poses = list_poses(frames, name)
         if len(poses) >= max(1, least):
-            seen[body] = average_frame(poses, workcell.tracker.markers_mm[name])
+            markers_mm = np.array(workcell.tracker.markers_mm[name])
+            seen[body] = average_frame(poses, markers_mm, marker_shares(frames, name, len(markers_mm)))
     rest = rests[Tracked.ARM]
     by_arm = robot_from_marker(workcell, rest.joints_rad, rest.sides)
     frame_mm = None

@@ -224,7 +224,7 @@ class RoomModel:
         turning = np.hstack([np.eye(3), np.zeros((3, 3))])
         moved = np.zeros((POSE, MOTIONS))
         moved[:, _columns(body)] = np.vstack([pose_jacobian(expected[:3, 3], self.centre_mm), turning])
-        pull = both @ np.hstack([*marker_pull(seen.markers_mm - seen.place_mm)])
+        pull = both @ np.hstack([*marker_pull(seen.markers_mm - seen.place_mm, seen.shares)])
         own = np.diag([UNKNOWN_MM] * 3 + [UNKNOWN_RAD] * 3)
         shared = np.hstack([np.zeros((POSE, self._constants - POSE)), own])
         return BodyRows(residual, both @ seen.covariance @ both.T, shared, moved, pull, seen.markers_mm)

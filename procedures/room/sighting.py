@@ -26,6 +26,9 @@ MARKER_NOISE_MM = np.array([0.06, 0.06, 0.20])
 NOISE_WORTH = 30  # frames that the stated noise counts as, beside the scatter of the frames themselves
 # Safety against a moved head or cart within the tracker's own error.
 FLOOR_MM = np.array([0.006, 0.006, 0.012])  # per axis, below which no number of frames brings a mean (U)
+# A marker of a frame beside its place in the definition, per axis: with one hidden, the pose is another. (U)
+# Safety against a moved head within what a hidden marker changes.
+SEATING_MM = 0.05
 
 
 class Tracked(StrEnum):
@@ -41,13 +44,14 @@ class SeenFrame:
     """Mean pose of a tracked frame: place (3,) mm and rotation (3, 3), tracker frame.
 
     `covariance` (6, 6) is of the place (mm), then of a rotation vector (rad) about the tracker's axes;
-    `markers_mm` (m, 3) are its markers at that pose.
+    `markers_mm` (m, 3) are its markers at that pose, `shares` (m,) the share of frames that each was used in.
     """
 
     place_mm: Array
     rotation: Array
     covariance: Array
     markers_mm: Array
+    shares: Array
 
     @property
     def pose(self) -> Array:
@@ -57,7 +61,13 @@ class SeenFrame:
         return matrix
 
 
-FRAME_SHAPES = {"place_mm": (3,), "rotation": (3, 3), "covariance": (6, 6), "markers_mm": (-1, 3)}
+FRAME_SHAPES = {
+    "place_mm": (3,),
+    "rotation": (3, 3),
+    "covariance": (6, 6),
+    "markers_mm": (-1, 3),
+    "shares": (-1,),
+}
 
 
 @dataclass(frozen=True)
@@ -146,16 +156,23 @@ class Sighting:
         )
 
 
-def average_frame(poses: Sequence[tuple[ArrayLike, ArrayLike]], markers_mm: ArrayLike) -> SeenFrame:
-    """Average poses (quaternion w, x, y, z; place (3,) mm) of a frame with markers (m, 3) mm of its own."""
+def average_frame(
+    poses: Sequence[tuple[ArrayLike, ArrayLike]], markers_mm: ArrayLike, shares: Array
+) -> SeenFrame:
+    """Average poses (quaternion w, x, y, z; place (3,) mm) of a frame with markers (m, 3) mm of its own.
+
+    `shares` (m,) are the shares of the poses that were fitted to each marker.
+    """
     quaternions, places = (np.array(values, dtype=float) for values in zip(*poses, strict=True))
     rotations = Rotation.from_quat(quaternions, scalar_first=True)
     rotation, place_mm = rotations.mean(), places.mean(axis=0)
     deviations = np.hstack([places - place_mm, (rotations * rotation.inv()).as_rotvec()])
     offsets_mm = rotation.apply(np.asarray(markers_mm, dtype=float))
-    stated, floor = _of_frame(offsets_mm, MARKER_NOISE_MM), _of_frame(offsets_mm, FLOOR_MM)
-    covariance = _of_mean(deviations.T @ deviations, len(deviations), stated) + floor
-    return SeenFrame(place_mm, rotation.as_matrix(), covariance, place_mm + offsets_mm)
+    stated, floor = (_of_frame(offsets_mm, shares, size_mm) for size_mm in (MARKER_NOISE_MM, FLOOR_MM))
+    beside = marker_pull(offsets_mm, shares) - marker_pull(offsets_mm)
+    seating = SEATING_MM**2 * np.asarray((beside @ beside.transpose(0, 2, 1)).sum(axis=0))
+    covariance = _of_mean(deviations.T @ deviations, len(deviations), stated) + floor + seating
+    return SeenFrame(place_mm, rotation.as_matrix(), covariance, place_mm + offsets_mm, shares)
 
 
 def mean_covariance(scatter_mm2: Array, count: int) -> Array:
@@ -167,8 +184,9 @@ def mean_covariance(scatter_mm2: Array, count: int) -> Array:
 def expect_frame(place_mm: Array, rotation: Array, markers_mm: ArrayLike, frames: int) -> SeenFrame:
     """Return a frame as a look of that many frames is expected to show it, by the stated noise."""
     offsets_mm = np.asarray(markers_mm, dtype=float) @ rotation.T
-    covariance = _of_frame(offsets_mm, MARKER_NOISE_MM) / frames + _of_frame(offsets_mm, FLOOR_MM)
-    return SeenFrame(place_mm, rotation, covariance, place_mm + offsets_mm)
+    shares = np.ones(len(offsets_mm))
+    noise, floor = (_of_frame(offsets_mm, shares, size_mm) for size_mm in (MARKER_NOISE_MM, FLOOR_MM))
+    return SeenFrame(place_mm, rotation, noise / frames + floor, place_mm + offsets_mm, shares)
 
 
 def expect_spheres(places_mm: Array, frames: int) -> SeenSpheres:
@@ -177,19 +195,24 @@ def expect_spheres(places_mm: Array, frames: int) -> SeenSpheres:
     return SeenSpheres(tuple(range(len(places_mm))), places_mm, np.tile(covariance, (len(places_mm), 1, 1)))
 
 
-def marker_pull(offsets_mm: Array) -> Array:
+def marker_pull(offsets_mm: Array, shares: Array | None = None) -> Array:
     """Return how a frame's pose, place then rotation, follows displacements of its markers, (m, 6, 3).
 
-    `offsets_mm` (m, 3) are the markers from the frame's origin. The tracker fits the pose by least squares.
+    `offsets_mm` (m, 3) are the markers from the frame's origin, `shares` (m,) by how much each counts, by
+    default all alike. The tracker fits the pose by least squares.
     """
     jacobian = pose_jacobian(offsets_mm, np.zeros(3))[..., [3, 4, 5, 0, 1, 2]]
-    rows = jacobian.reshape(-1, 6)
-    return np.asarray(np.linalg.inv(rows.T @ rows) @ jacobian.transpose(0, 2, 1))
+    towards = (
+        jacobian.transpose(0, 2, 1) * (np.ones(len(offsets_mm)) if shares is None else shares)[:, None, None]
+    )
+    return np.asarray(np.linalg.inv((towards @ jacobian).sum(axis=0)) @ towards)
 
 
-def _of_frame(offsets_mm: Array, marker_mm: Array) -> Array:
-    pull = marker_pull(offsets_mm)
-    return np.asarray(((pull * marker_mm**2) @ pull.transpose(0, 2, 1)).sum(axis=0))
+def _of_frame(offsets_mm: Array, shares: Array, marker_mm: Array) -> Array:
+    """Return the covariance (6, 6) of a pose by that of its markers, averaged over where each is used."""
+    pull = marker_pull(offsets_mm, shares)[shares > 0.0]
+    rare = 1.0 / shares[shares > 0.0]
+    return np.asarray(((pull * marker_mm**2 * rare[:, None, None]) @ pull.transpose(0, 2, 1)).sum(axis=0))
 
 
 def _of_mean(squares: Array, count: int, stated: Array) -> Array:

@@ -21,7 +21,7 @@ from ronna_hw.arrays import Array
 from ronna_hw.clock import Clock
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Device, Lifecycle
-from ronna_hw.devices.readings import StrayReading, TrackerFrame, Validity
+from ronna_hw.devices.readings import StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.devices.sensors import reports_strays
 from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
@@ -128,12 +128,22 @@ def _explain_missing_frames(frames: list[TrackerFrame], tool: str) -> tuple[str,
 
 def list_poses(frames: Sequence[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
     """List a tool's rotations and positions from the frames that show it."""
-    readings = (frame.tool(tool) for frame in frames)
     return [
         (one.rotation, one.position_mm)
-        for one in readings
-        if one.validity is Validity.OK and one.rotation is not None and one.position_mm is not None
+        for one in _list_readings(frames, tool)
+        if one.rotation is not None and one.position_mm is not None
     ]
+
+
+def marker_shares(frames: Sequence[TrackerFrame], tool: str, markers: int) -> Array:
+    """Return the share (m,) of a tool's poses that each of its markers was used for; all if none says so."""
+    used = [one.markers_used or (True,) * markers for one in _list_readings(frames, tool)]
+    return np.asarray(np.mean(used, axis=0), dtype=float)
+
+
+def _list_readings(frames: Sequence[TrackerFrame], tool: str) -> list[ToolReading]:
+    readings = (frame.tool(tool) for frame in frames)
+    return [one for one in readings if one.validity is Validity.OK and one.rotation is not None]
 
 
 def _average_poses(seen_poses: list[tuple[Quaternion, Vector3]]) -> Transform:

@@ -64,13 +64,17 @@ _TO_SEE = {
 
 @dataclass(frozen=True)
 class ToolReading:
-    """Pose of a loaded tool in the tracker frame; rotation and position are None if unknown."""
+    """Pose of a loaded tool in the tracker frame; rotation and position are None if unknown.
+
+    `markers_used` says which markers of its definition the pose was fitted to; None if the tracker does not.
+    """
 
     tool: str
     validity: Validity
     rotation: Quaternion | None  # tracker <- tool
     position_mm: Vector3 | None
     fit_error_mm: float | None  # rms of the fit to the definition; not an accuracy
+    markers_used: tuple[bool, ...] | None = None
 
     def transform(self, target: Frame, source: Frame) -> Transform:
         """Return the pose as `TRACKER <- source`; raises DEV-004 if it is missing or untrustworthy.

@@ -208,6 +208,9 @@ class ToolInformation(IntFlag):
     TOO_FEW_MARKERS = 0x02
 
 
+MARKER_DIGITS: Final = 20  # option 0002 always sends this many, after one byte of tool information
+
+
 class MarkerState(IntEnum):
     """Marker state, one digit per marker in the section added by option 0002."""
 

@@ -20,7 +20,6 @@ TRANSFORMS, TOOL_INFORMATION = ReplyOption.TRANSFORMS.value, ReplyOption.TOOL_IN
 STRAY_ACTIVE, TOOL_MARKERS = ReplyOption.STRAY_ACTIVE.value, ReplyOption.TOOL_MARKERS.value
 OUT_OF_VOLUME, STRAY_PASSIVE = ReplyOption.OUT_OF_VOLUME.value, ReplyOption.STRAY_PASSIVE.value
 
-MARKER_DIGITS = 20  # option 0002 always sends this many
 Point = tuple[float, float, float]
 Markers = list[tuple[Point, bool]]  # positions, and whether inside the volume
 
@@ -179,7 +178,7 @@ def information(tracked: TrackedTool | None) -> int:
 def marker_digits(tracked: TrackedTool | None, *, first_first: bool) -> str:
     """Return all 20 marker status digits."""
     digits = "" if tracked is None else "".join(map(str, tracked.marker_digits))
-    digits = digits.ljust(MARKER_DIGITS, "0")
+    digits = digits.ljust(wire.MARKER_DIGITS, "0")
     return digits if first_first else digits[::-1]
 
 

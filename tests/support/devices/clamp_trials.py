@@ -15,6 +15,7 @@ from room_looks import room_reading_of, seen_frame
 
 from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import RoomWatch
+from procedures.room.sighting import SEATING_MM, SeenFrame, average_frame
 from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.arm.catalogue import find_arm
@@ -75,6 +76,8 @@ class ClampedCase:
         self._spheres_mm = apply(robot_from_ct, [one.centre_ct_mm for one in scene.head.fiducials])
         self._clamp = matrix_of(scene.head.robot_from_patient_frame)
         self._on_clamp_mm = np.array(scene.tracker.tools[-1].markers_mm)
+        seats_mm = self.generator.normal(0.0, SEATING_MM, self._on_clamp_mm.shape)
+        self._seated_mm = self._on_clamp_mm + seats_mm
         self._on_arm_mm = np.array(scene.tracker.tools[0].markers_mm)
         above = apply(robot_from_ct, scene.head.centre_ct_mm) + MARKER_FROM_HEAD_MM
         self._arm = matrix_from(above, self._robot_from_tracker[:3, :3])
@@ -125,6 +128,19 @@ class ClampedCase:
             @ (on_arm.translation_mm - expected.translation_mm),
         )
 
+    def see_clamp_without(self, marker: int, frames: int, *, is_told: bool = True) -> SeenFrame:
+        """The frame on the clamp, unmoved, with one marker hidden, and whether the tracker says so."""
+        seen = np.arange(len(self._on_clamp_mm)) != marker
+        body_mm = self._on_clamp_mm[seen]
+        places_mm = apply(inverse(self._robot_from_tracker), apply(self._clamp, self._seated_mm[seen]))
+        sight = self._optics.sight(places_mm)
+        poses = [
+            _pose_of(Frame.PATIENT, body_mm, sight.measured(self.generator.standard_normal(places_mm.shape)))
+            for _ in range(frames)
+        ]
+        listed = [(one.quaternion_wxyz, one.translation_mm) for one in poses]
+        return average_frame(listed, self._on_clamp_mm, seen.astype(float) if is_told else np.ones(len(seen)))
+
     def _see(
         self,
         frames: int,
@@ -133,7 +149,7 @@ class ClampedCase:
         clamp_mm: ArrayLike,
         cart: Matrix = IN_PLACE,
     ) -> tuple[Transform, Array, Transform]:
-        on_clamp = np.add(apply(self._clamp, self._on_clamp_mm), clamp_mm)
+        on_clamp = np.add(apply(self._clamp, self._seated_mm), clamp_mm)
         places = [on_clamp, np.add(self._spheres_mm, head_mm), apply(cart @ self._arm, self._on_arm_mm)]
         points = apply(inverse(pushed @ self._robot_from_tracker), np.vstack(places))
         sight = self._optics.sight(points)

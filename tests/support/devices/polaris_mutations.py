@@ -182,7 +182,7 @@ class Campaign:
     def _heard_whole(self, number: int) -> bool:
         """Whether a reply with right CRCs and that frame number was among the bytes heard."""
         heard = self._unit.heard
-        in_text = f"{number:08X}\n".encode()
+        in_text = f"{number:08X}00{self._unit.marker_digits}".encode()
         in_binary = struct.pack("<I", number)
         return any(in_binary in body for body in whole_binary(heard)) or any(
             in_text in text for text in whole_text(heard)

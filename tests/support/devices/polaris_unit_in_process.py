@@ -12,7 +12,7 @@ from typing import Any
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import LinkLost
 from ronna_hw.config import DeviceConfig
-from ronna_hw.wire.polaris import crc16
+from ronna_hw.wire.polaris import MARKER_DIGITS, crc16
 
 VERSION_TEXT = "\n".join(
     [
@@ -66,6 +66,7 @@ class UnitInProcess:
         self.system_status = 0
         self.port_status = 0x31
         self.missing: set[int] = set()
+        self.marker_digits = "3333"  # of every tool: all four are used
         self.strays: list[tuple[float, float, float]] = []
         self.answers_to: dict[str, str] = {}  # command name -> text instead of the usual answer
         self.silent = False
@@ -277,7 +278,8 @@ class UnitInProcess:
         self.frame += 1
         body = bytes([len(self._enabled())])
         for handle in self._enabled():
-            tail = struct.pack("<II", self.port_status, self.frame)
+            digits = self.marker_digits.ljust(MARKER_DIGITS, "0")[::-1]
+            tail = struct.pack("<II", self.port_status, self.frame) + b"\0" + bytes.fromhex(digits)
             if handle in self.missing:
                 body += bytes([handle, 2]) + tail
             else:
@@ -290,7 +292,7 @@ class UnitInProcess:
         self.frame += 1
         text = f"{len(self._enabled()):02X}"
         for handle in self._enabled():
-            tail = f"{self.port_status:08X}{self.frame:08X}\n"
+            tail = f"{self.port_status:08X}{self.frame:08X}00{self.marker_digits.ljust(MARKER_DIGITS, '0')}\n"
             pose = self.pose_of(handle)
             values = "".join(f"{round(v * 10000):+06d}" for v in pose[:4])
             values += "".join(f"{round(v * 100):+07d}" for v in pose[4:7]) + f"{round(pose[7] * 10000):+06d}"

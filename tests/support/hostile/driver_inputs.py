@@ -27,7 +27,7 @@ from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram, read
 from drivers.kuka_rsi.realtime.telegram import TelegramReader
 from drivers.ndi_polaris.command_link import decode_ascii, split_binary
 from drivers.ndi_polaris.measuring_volume import parse_volumes
-from drivers.ndi_polaris.replies import decode_bx, decode_tx
+from drivers.ndi_polaris.replies import FRAME_OPTIONS, decode_bx, decode_tx
 from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_TOOLS
 from drivers.ndi_polaris.tool_definition import decode_definition
 from drivers.universal_robots.dashboard import DashboardClient
@@ -42,6 +42,7 @@ from ronna_hw.bounded_input import InputRefused
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import polaris
 from ronna_hw.wire.kuka_context import load_context
+from ronna_hw.wire.polaris import ReplyOption
 from ronna_hw.wire.universal_robots_services import DashboardOrder, PackageKind, Query
 from sim.kuka.rsi.telegrams import ReplyReader
 
@@ -61,6 +62,8 @@ DASHBOARD_LINES = (
     b"Program running: false\n20265500001\nPowering on\n"
 )
 PRIMARY_MESSAGE = struct.pack(">iBQbB", 30, 20, 0, -2, 7) + b"PolyScope hello."
+MARKERS = b"\0" + bytes.fromhex("33330000000000000000")[::-1]  # of a tool in a BX reply: all four are used
+MARKER_DIGITS = b"0033330000000000000000"  # and in a TX reply
 _IN_PIECES = re.compile(rb"&|<[!?]")  # XML in which a text need not be together
 
 
@@ -69,12 +72,17 @@ def driver_parsers() -> dict[str, tuple[tuple[bytes, ...], Take]]:
     ours = load_context()
     sentype = ours.ethernet.sentype.encode()
     bx = (
-        struct.pack("<3B8f2IBBH", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300, 0, 0, 0)[:46],
-        struct.pack("<3B2I2BBB3fH", 2, 1, 2, 0x31, 301, 2, 4, 1, 0, 10.0, -20.0, -1500.0, 0),
+        struct.pack("<3B8f2I", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300)
+        + MARKERS
+        + struct.pack("<BH", 0, 0),
+        struct.pack("<3B2I", 2, 1, 2, 0x31, 301)
+        + MARKERS
+        + struct.pack("<2BBB3fH", 2, 4, 1, 0, 10.0, -20.0, -1500.0, 0),
     )
     tx = (
-        b"0102+10000+00000+00000+00000+001050-002025-150000+0012500000031" + b"0000012C\n000000",
-        b"0101MISSING000000310000012D\n033+001000+002000-150000-001000-002000-250000+000000+000000-1000000002",
+        b"0102+10000+00000+00000+00000+001050-002025-150000+00125000000310000012C%b\n000000" % MARKER_DIGITS,
+        b"0101MISSING000000310000012D%b\n033+001000+002000-150000-001000-002000-250000"
+        b"+000000+000000-1000000002" % MARKER_DIGITS,
     )
     return {
         "GenICam XML": ((DESCRIPTION,), _features),
@@ -284,9 +292,9 @@ def _eki(data: bytes) -> None:
 def _with_right_crc(data: bytes) -> None:
     """The CRC is no secret: who means ill sends the right one."""
     text = data.replace(b"\r", b"")
-    for strays in (True, False):
+    for options in (FRAME_OPTIONS, ReplyOption.TRANSFORMS):
         with contextlib.suppress(RonnaError):
-            reply = decode_tx(decode_ascii(text + b"%04X" % polaris.crc16(text)), strays=strays)
+            reply = decode_tx(decode_ascii(text + b"%04X" % polaris.crc16(text)), options)
             positions = [report.position_mm for report in reply.handles if report.position_mm is not None]
             assert all(isfinite(value) for position in positions for value in position)
     with contextlib.suppress(RonnaError):
@@ -297,7 +305,7 @@ def _binary(data: bytes) -> None:
     with contextlib.suppress(RonnaError):
         split_binary(data)
     with contextlib.suppress(RonnaError):
-        assert len(decode_bx(data, strays=False).handles) == data[0]
+        assert len(decode_bx(data, ReplyOption.TRANSFORMS).handles) == data[0]
     assert len(decode_bx(data).handles) == data[0]
 
 

@@ -97,7 +97,7 @@ class Wire:
 
 def strays_in(reply: bytes) -> Array:
     """Decoded as the protocol's reference says, for one tool that is seen."""
-    after_tool = 6 + 1 + 2 + 8 * 4 + 8
+    after_tool = 6 + 1 + 2 + 8 * 4 + 8 + 11
     count = reply[after_tool]
     numbers = struct.unpack_from(f"<{3 * count}f", reply, after_tool + 1 + (count + 7) // 8)
     return np.array(numbers).reshape(-1, 3)

@@ -50,6 +50,22 @@ def test_a_room_at_rest_is_in_place(frames: int, hidden: bool) -> None:
         assert case.watch.head_sight.seen_s == 5.0
 
 
+@LOOKS
+def test_a_hidden_marker_of_the_frame_is_no_moved_head(frames: int) -> None:
+    untold = 0
+    for seed in SEEDS:
+        case = clamped_case(seed)
+        reading = case.read(frames, hidden=True)
+        for marker in range(4):
+            told, not_told = (
+                case.watch.judge(replace(reading, frames={**reading.frames, Tracked.CLAMP: seen}))
+                for seen in (case.see_clamp_without(marker, frames, is_told=told) for told in (True, False))
+            )
+            assert told.motion is None
+            untold += not_told.motion is not None
+    assert untold > 0  # what the tracker says of its markers is what tells them apart
+
+
 @pytest.mark.hazard(12)
 @LOOKS
 @SIGHT

@@ -16,7 +16,7 @@ from drivers.ndi_polaris.command_link import (
 )
 from drivers.ndi_polaris.errors import BadReplyCrc, MalformedReply
 from drivers.ndi_polaris.replies import decode_bx, decode_tx
-from ronna_hw.wire.polaris import PortStatus, SystemStatus, crc16
+from ronna_hw.wire.polaris import PortStatus, ReplyOption, SystemStatus, crc16
 
 # one tool at (10.50, -20.25, -1500.00), no rotation, error 0.125, frame 300
 TX_VALID = "0101+10000+00000+00000+00000+001050-002025-150000+01250000000310000012C\n0000"
@@ -27,6 +27,8 @@ BX_VALID = bytes.fromhex(
     "00A2C10080BBC40000003E310000002C01000000001D2D"
 )
 BX_MISSING = bytes.fromhex("C4A50D002983010102310000002D01000000009E7D")
+WITH_STRAYS = ReplyOption.TRANSFORMS | ReplyOption.STRAY_PASSIVE
+WITH_INFORMATION = ReplyOption.TRANSFORMS | ReplyOption.TOOL_INFORMATION
 
 
 def body_of(reply: bytes) -> bytes:
@@ -75,7 +77,7 @@ def test_error_and_warning_replies_are_recognised() -> None:
 
 def test_a_tx_reply_gives_pose_status_and_frame() -> None:
     assert crc16(TX_VALID.encode()) == 0x361F
-    reply = decode_tx(TX_VALID, strays=False)
+    reply = decode_tx(TX_VALID, ReplyOption.TRANSFORMS)
     (report,) = reply.handles
     assert report.handle == 1
     assert report.rotation == (1.0, 0.0, 0.0, 0.0)
@@ -88,27 +90,28 @@ def test_a_tx_reply_gives_pose_status_and_frame() -> None:
 
 def test_a_tx_reply_keeps_status_and_frame_of_a_missing_tool() -> None:
     assert crc16(TX_MISSING.encode()) == 0xC380
-    (report,) = decode_tx(TX_MISSING, strays=False).handles
+    (report,) = decode_tx(TX_MISSING, ReplyOption.TRANSFORMS).handles
     assert report.frame == 301
     assert report.rotation is None
 
 
 @pytest.mark.parametrize("word", ["DISABLED", "UNOCCUPIED", "DISABLED0000000100000001"])
 def test_a_tx_reply_with_an_absent_handle_is_decoded_with_or_without_status(word: str) -> None:
-    (report,) = decode_tx(f"0102{word}\n0000", strays=False).handles
+    (report,) = decode_tx(f"0102{word}\n0000", ReplyOption.TRANSFORMS).handles
     assert (report.handle, report.rotation, report.frame) == (2, None, None)
 
 
 def test_tx_strays_are_decoded_with_front_padded_outside_bits() -> None:
     strays = "+001000+002000-150000" + "-001000-002000-250000" + "+000000+000000-100000"
-    reply = decode_tx(f"0101MISSING000000310000012D\n033{strays}0002")
+    reply = decode_tx(f"0101MISSING000000310000012D\n033{strays}0002", WITH_STRAYS)
     assert reply.strays_mm == ((10, 20, -1500), (-10, -20, -2500), (0, 0, -1000))
     assert reply.stray_outside == (False, True, True)
     assert reply.system_status == SystemStatus.TOO_MUCH_INFRARED
 
 
 def test_tx_strays_are_decoded_without_outside_bits() -> None:
-    reply = decode_tx("0101MISSING000000310000012D\n024+001000+002000-1500000000".replace("024", "022"))
+    text = "0101MISSING000000310000012D\n022+001000+002000-1500000000"
+    reply = decode_tx(text, WITH_STRAYS)
     assert reply.strays_mm == ((10, 20, -1500),)
     assert reply.stray_outside is None
 
@@ -116,8 +119,26 @@ def test_tx_strays_are_decoded_without_outside_bits() -> None:
 def test_a_bx_reply_decodes_to_the_same_as_the_tx_reply_of_the_same_frame() -> None:
     body = body_of(BX_VALID)
     assert binary_reply_bytes(BX_VALID) == len(BX_VALID) == 53
-    assert decode_bx(body, strays=False) == decode_tx(TX_VALID, strays=False)
-    assert decode_bx(body_of(BX_MISSING), strays=False) == decode_tx(TX_MISSING, strays=False)
+    options = ReplyOption.TRANSFORMS
+    assert decode_bx(body, options) == decode_tx(TX_VALID, options)
+    assert decode_bx(body_of(BX_MISSING), options) == decode_tx(TX_MISSING, options)
+
+
+def test_marker_digits_are_read_from_the_first_marker_on_in_text_and_bytes() -> None:
+    digits = "3033" + "0" * 16
+    (by_text,) = decode_tx(TX_VALID.replace("\n", f"00{digits}\n"), WITH_INFORMATION).handles
+    body = body_of(BX_VALID)
+    body = body[:-2] + b"\0" + bytes.fromhex(digits[::-1]) + body[-2:]
+    (by_bytes,) = decode_bx(body, WITH_INFORMATION).handles
+    assert by_text.marker_digits == by_bytes.marker_digits == digits
+
+
+@pytest.mark.parametrize(("text", "options"), [(TX_VALID, WITH_INFORMATION), (TX_MISSING, WITH_INFORMATION)])
+def test_a_record_without_the_marker_digits_that_were_requested_is_refused(
+    text: str, options: ReplyOption
+) -> None:
+    with pytest.raises(MalformedReply, match="does not match the options"):
+        decode_tx(text, options)
 
 
 @pytest.mark.hazard(16)

@@ -35,6 +35,7 @@ def test_a_frame_holds_pose_frame_number_and_theatre_time(make_tracker: Make, cl
     assert tool.rotation == (1.0, 0.0, 0.0, 0.0)
     assert tool.position_mm == pytest.approx((10.0, -20.0, -1500.0))
     assert tool.fit_error_mm == pytest.approx(0.125)
+    assert tool.markers_used == (True,) * 4
     assert device.read_frame().stamp.device_clock == 1
     assert device.statistics.frames == 2
 
@@ -44,8 +45,20 @@ def test_a_unit_without_binary_replies_is_read_with_tx(make_tracker: Make, unit:
     device = bring_up(make_tracker())
     device.read_frame()
     device.read_frame()
-    assert unit.commands.count("BX:1801") == 2  # the first refusal may have been noise
-    assert unit.commands.count("TX:1801") == 2
+    assert unit.commands.count("BX:1803") == 2  # the first refusal may have been noise
+    assert unit.commands.count("TX:1803") == 2
+
+
+@pytest.mark.parametrize("reply", ["BX", "TX"])
+def test_a_pose_says_which_markers_it_was_fitted_to(make_tracker: Make, unit: Any, reply: str) -> None:
+    unit.marker_digits = "3303"
+    tool = bring_up(make_tracker(reply=reply)).read_frame().tool("robot_frame")
+    assert tool.markers_used == (True, True, False, True)
+
+
+def test_fewer_used_markers_than_a_pose_takes_are_not_believed(make_tracker: Make, unit: Any) -> None:
+    unit.marker_digits = "3" + "0" * 16 + "333"  # from the other end
+    assert bring_up(make_tracker()).read_frame().tool("robot_frame").markers_used is None
 
 
 @pytest.mark.hazard(14)
