@@ -14,8 +14,9 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
 from console.hub import Hub
-from console.scene.head_surface import build_head_stl, find_series_folder
+from console.scene.head_surface import build_head, find_series_folder
 from procedures.engine.case_view import CaseView
+from procedures.imaging.drawn_skin import DrawnSkin
 from procedures.reporting.case_figures import (
     LOCALIZED,
     MATCHED,
@@ -83,7 +84,8 @@ class LatestFigures:
         self.latest: CaseFigures | None = None
         self.count = 0  # how often they were read
         self.heads = 0  # how often the surface of the head was built
-        self._head = b""
+        self._head = self._skin_picture = b""
+        self.skin: DrawnSkin | None = None  # on which a scan is shown
         self._has_tried_head = False
 
     def key(self) -> object:
@@ -111,9 +113,11 @@ class LatestFigures:
         if series is None:
             return
         try:
-            self._head = await asyncio.to_thread(build_head_stl, series)
+            self._head, skin = await asyncio.to_thread(build_head, series)
+            self._skin_picture = await asyncio.to_thread(skin.draw)
         except (OSError, ValueError, RonnaError):  # the step that imports the CT reports the reason
             return
+        self.skin = skin
         self.heads += 1
         self._hub.notify()
 
@@ -122,6 +126,10 @@ class LatestFigures:
 
         async def head(_request: Request) -> Response:
             return Response(self._head, media_type="model/stl") if self._head else PlainTextResponse("", 404)
+
+        async def skin(_request: Request) -> Response:
+            content = self._skin_picture
+            return Response(content, media_type="image/png") if content else PlainTextResponse("", 404)
 
         async def picture(request: Request) -> Response:
             name = request.path_params["name"]
@@ -147,5 +155,6 @@ class LatestFigures:
             return Response(content, media_type="image/png") if content else PlainTextResponse("", 404)
 
         app.add_route("/picture/pair", pair, methods=["GET"])
+        app.add_route("/picture/skin.png", skin, methods=["GET"])
         app.add_route("/picture/head.stl", head, methods=["GET"])
         app.add_route("/picture/{name}", picture, methods=["GET"])

@@ -18,6 +18,7 @@ from enum import StrEnum
 from typing import Any
 from urllib.parse import parse_qs
 
+LOW = "low"  # option of a page: cheap graphics
 TOKEN_BYTES = 32
 MOST_SESSIONS = 64  # per role; the oldest is dropped for a new one
 ORDERS_PER_SECOND = 10
@@ -224,7 +225,7 @@ class AccessGuard:
         kept = f"{self._cookie}={cookie}; HttpOnly; SameSite=Strict; Path=/"
         if self._scheme == "https":
             kept += "; Secure"
-        await _answer(send, 303, b"", {"location": "/", "set-cookie": kept})
+        await _answer(send, 303, b"", {"location": _address_without_token(scope), "set-cookie": kept})
 
     async def _serve_websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = _read_headers(scope)
@@ -281,6 +282,12 @@ def _read_token(scope: Scope) -> str | None:
     except ValueError:
         return ""
     return given[0] if given else None
+
+
+def _address_without_token(scope: Scope) -> str:
+    """Return where the page is, with the option that slow computers open it with, and nothing else."""
+    options = parse_qs(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+    return f"/?{LOW}" if LOW in options else "/"
 
 
 def _limit_body(receive: Receive, remaining_bytes: int) -> Receive:

@@ -10,7 +10,6 @@ from console.hub import Hub
 from console.panels.ct_planes import ct_planes
 from console.panels.html import evidence_table, head_row, table, tag, text
 from procedures.engine.case_view import FAULT, FINDING, REFUSED, CaseView, Notice
-from procedures.engine.events import ScanProgress
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.operator.question import PredictedError
 from procedures.reporting.case_figures import CaseFigures
@@ -40,8 +39,7 @@ def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
     predictions = [*asked, *(item for item in valid if item.target not in decided)]
     on_skin = "" if figures is None or figures.surface is None else skin(figures.surface)
     if not predictions:
-        scan = "" if view.scan is None else live_scan(view.scan)
-        return tag("p", "No registration yet.", class_="dim") + scan + on_skin
+        return tag("p", "No registration yet.", class_="dim") + on_skin
     rows = "".join(
         tag(
             "tr",
@@ -104,19 +102,8 @@ def _describe_limit(predicted: PredictedError) -> str:
 
 
 def accuracy_key(view: CaseView) -> object:
-    """Return a key that changes with the registration that the open question is about, and with the scan."""
-    return view.question.predicted if view.question is not None else (), view.scan
-
-
-def live_scan(scan: ScanProgress) -> str:
-    """Show what a scan of the skin under way has covered, and the error that is expected of it."""
-    expected_mm = scan.predicted_error_mm
-    rows = (
-        ("looks taken", f"{scan.looks_done} of {scan.looks_planned}"),
-        ("covered of what is planned", f"{scan.covered_share:.0%}"),
-        ("expected error, mm rms", "too little scanned" if expected_mm is None else f"{expected_mm:.2f}"),
-    )
-    return table(("scan of the skin", ""), rows)
+    """Return a key that changes with the registration that the open question is about."""
+    return view.question.predicted if view.question is not None else ()
 
 
 def live_pair(hub: Hub) -> str:

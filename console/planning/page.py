@@ -13,7 +13,7 @@ from fastapi import FastAPI, Request
 from nicegui import ui
 
 from console.changes import await_change
-from console.guard import SESSION, Session, SessionRole
+from console.guard import LOW, SESSION, Session, SessionRole
 from console.panels.elements import button, card, group, html
 from console.panels.html import tag, text
 from console.planning.ac_pc_panel import CLICK_NEXT, AcPcPanel
@@ -65,7 +65,7 @@ def add_planner(app: FastAPI, editor: PlanEditor) -> None:
         ui.add_head_html(head)
         session: Session = request.scope[SESSION]
         bind_page(ui.context.client, session.identifier)
-        PlannerPage(editor, session, low="low" in request.query_params).build()
+        PlannerPage(editor, session, low=LOW in request.query_params).build()
 
     use_library(app, TITLE, RECONNECT_S)
 

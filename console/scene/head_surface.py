@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from console.scene.bodies import METRES
+from procedures.imaging.drawn_skin import DrawnSkin
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
 from ronna_hw.arrays import Array
@@ -33,9 +34,13 @@ def find_series_folder(run: Path) -> Path | None:
     return Path(case) / "ct" if isinstance(case, str) else None
 
 
-def build_head_stl(series: Path) -> bytes:
-    """Build a binary STL in CT coordinates, metres. Raises reading errors, and CT-022 without a head."""
-    return encode_stl(*head_surface(read_series(series)))
+def build_head(series: Path) -> tuple[bytes, DrawnSkin]:
+    """Build a binary STL in CT coordinates, metres, and the skin from three sides.
+
+    Raises reading errors, and CT-022 without a head.
+    """
+    corners_mm, triangles = head_surface(read_series(series))
+    return encode_stl(corners_mm, triangles), DrawnSkin(corners_mm, corner_normals(corners_mm, triangles))
 
 
 def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
@@ -59,6 +64,18 @@ def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
     corners, triangles, _, _ = marching_cubes(smooth, SKIN_HU)
     middle = (factor - 1) / 2.0  # of a block, in voxels
     return volume.geometry.to_patient_mm((corners - 1.0) * factor + middle), triangles.astype(np.int64)
+
+
+def corner_normals(corners_mm: Array, triangles: NDArray[np.int64]) -> Array:
+    """Return outward unit normals (n, 3) at the corners of a closed surface."""
+    a, b, c = (corners_mm[triangles[:, corner]] for corner in range(3))
+    facets = np.cross(b - a, c - a)
+    normals = np.zeros_like(corners_mm)
+    for corner in range(3):
+        np.add.at(normals, triangles[:, corner], facets)
+    outwards = np.sign(np.sum(facets * (a - corners_mm.mean(axis=0))))  # the volume enclosed
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(outwards * np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
 
 
 def _block_means(voxels: NDArray[np.int16], factor: NDArray[np.int64]) -> Array:

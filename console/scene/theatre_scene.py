@@ -11,11 +11,13 @@ from console.panels.elements import card, group, html, small_button
 from console.panels.html import tag, text
 from console.scene.bodies import METRES, Closest, DrawnRod, Point, guide_end, placing_calls
 from console.scene.drawn_arm import OLD_S, DrawnArm
+from console.scene.scanned_skin import COVERED, MISSING, ScannedSkin, shown_scan
 from console.scene.sights import HIDDEN, VOLUME, Sights
 from procedures.engine.case_view import CaseView, ReportedPose
 from procedures.engine.events import ArmsApart, Body
 from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.reporting.case_figures import CaseFigures, SphereFigure
+from procedures.reporting.sections.surface import MISSING_SKIN, SCANNED_SKIN
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
 
@@ -28,6 +30,8 @@ POINT_MM = 2.0  # size of a scanned point
 OUTSIDE = 2.5  # length of a trajectory drawn outside the entry, as a share of its depth
 AT_TARGET = "at_target"  # topic of the question that stands while the instrument is at depth
 BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the tracker frame
+SKIN_VIEW = "skin"
+PLACES = ("robot", "head", SKIN_VIEW, "tracker")
 FRAMES_PER_S, LOW_FRAMES_PER_S = 20, 4
 HEAD_OPACITY, LOW_OPACITY = 0.55, 1.0  # translucency is expensive without graphics hardware
 LABEL = "color:#fff;background:rgba(0,0,0,.55);padding:0 4px;border-radius:3px;font:12px sans-serif"
@@ -56,25 +60,26 @@ class ScenePanel:
             self._age = html()
             self._scene = TheatreScene(low=low)
             self._key = html()
-        self._names: list[str] | None = None
+        self._names: tuple[str, ...] = ()
         self._scene.look_at("robot", None)
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
         self._figures = figures
-        names = [path.name for path in figures.trajectories] if figures else []
+        self._scene.show(view, figures, heads)
+        has_skin = self._scene.skin.camera is not None
+        names = ("robot", "head", *((SKIN_VIEW,) if has_skin else ()), "tracker")
+        names += tuple(path.name for path in figures.trajectories) if figures else ()
         if names != self._names:
             self._names = names
             self._build_views(names)
-        self._scene.show(view, figures, heads)
-        self._key.set_content(_key_html(tuple(view.bodies)))
+        self._key.set_content(_key_html(tuple(view.bodies), has_skin=has_skin))
         self._age.set_content(_ages_html(view) + self._clearance_html(view) + self._sight_html())
 
-    def _build_views(self, names: list[str]) -> None:
+    def _build_views(self, names: tuple[str, ...]) -> None:
         self._views.clear()
         with self._views:
-            places = ("robot", "head", "tracker")
-            for name, words in (*zip(places, places, strict=True), *((one, f"along {one}") for one in names)):
-                small_button(words, partial(self._look_at, name))
+            for name in names:
+                small_button(name if name in PLACES else f"along {name}", partial(self._look_at, name))
 
     def _look_at(self, name: str) -> None:
         self._scene.look_at(name, self._figures)
@@ -107,9 +112,11 @@ class ScenePanel:
         self._scene.magnified = int(self._size.value or 1)
 
 
-def _key_html(arms: tuple[str, ...]) -> str:
+def _key_html(arms: tuple[str, ...], *, has_skin: bool) -> str:
     names = [f"{arm} (as checked)" for arm in arms] or ["arm (as checked)"]
     entries = (*((name, _colour_of(number)) for number, name in enumerate(names)), *KEY)
+    if has_skin:
+        entries = ((f"skin: {SCANNED_SKIN}", COVERED), (f"skin: {MISSING_SKIN}", MISSING), *entries)
     shown = (tag("span", f'<i style="background:{colour}"></i>{text(words)}') for words, colour in entries)
     return tag("div", "".join(shown), class_="key")
 
@@ -163,7 +170,7 @@ class TheatreScene:
         self._head: Any = None
         self._head_count = 0
         with self.scene:
-            self._sights = Sights(self.scene)
+            self._sights, self.skin = Sights(self.scene), ScannedSkin(self.scene)
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
         """Show the case at one moment. `heads` counts rebuilds of the head's surface."""
@@ -180,6 +187,7 @@ class TheatreScene:
                 self._build_marks(figures, heads)
             self._show_instrument(_instrument_ends(view, figures))
             self._sights.show(view, figures)
+            self.skin.show(shown_scan(view, figures), None if figures is None else figures.robot_from_ct)
 
     @property
     def closest(self) -> dict[str, Closest]:
@@ -276,13 +284,15 @@ class TheatreScene:
         return self._sights.hidden
 
     def look_at(self, view_name: str, figures: CaseFigures | None) -> None:
-        """Point the camera at the `robot` or `head`, along the `tracker`'s view, or along a trajectory."""
+        """Point the camera at the `robot`, `head` or `skin`, along the `tracker`'s view, or a trajectory."""
         path = (
             next((item for item in figures.trajectories if item.name == view_name), None) if figures else None
         )
         if path is not None:
             out = [e + 8.0 * (e - t) for e, t in zip(path.entry_mm, path.target_mm, strict=True)]
             self._camera(out, path.entry_mm)
+        elif view_name == SKIN_VIEW and self.skin.camera is not None:
+            self._camera(*self.skin.camera)
         elif view_name == "head" and figures and figures.trajectories:
             x, y, z = figures.trajectories[0].target_mm
             self._camera((x + 350.0, y - 600.0, z + 450.0), (x, y, z))

@@ -11,7 +11,7 @@ from nicegui import ui
 
 from console.changes import await_change
 from console.figures import LatestFigures, figures_at
-from console.guard import SESSION, Session, SessionRole
+from console.guard import LOW, SESSION, Session, SessionRole
 from console.hub import NO_REPLY, Hub
 from console.panels.case_state import (
     advice,
@@ -42,7 +42,9 @@ from console.panels.results import (
     pictures,
     problems,
 )
+from console.panels.skin_scan import skin_scan
 from console.recorded_case import RecordedCase
+from console.scene.scanned_skin import shown_scan
 from console.scene.theatre_scene import ScenePanel
 from console.web.library import bind_page, page_head, use_library
 from procedures.engine.case_view import CaseView
@@ -69,7 +71,7 @@ def add_page(app: FastAPI, hub: Hub) -> None:
         ui.add_head_html(head)
         session: Session = request.scope[SESSION]
         bind_page(ui.context.client, session.identifier)
-        CasePage(hub, figures, tail, session, low="low" in request.query_params).build()
+        CasePage(hub, figures, tail, session, low=LOW in request.query_params).build()
 
     use_library(app, TITLE)
 
@@ -137,6 +139,12 @@ class CasePage:
                     "cutbox",
                 )
             with ui.element("div").classes("right"):
+                self._section(
+                    "Scan of the skin",
+                    lambda view: skin_scan(shown_scan(view, self._shown_figures), self._figures.skin),
+                    lambda view: (self._update_figures(view), view.scan, self._figures.heads),
+                    "skinbox",
+                )
                 self._section(
                     "Accuracy",
                     lambda view: accuracy(view, self._shown_figures),

@@ -109,7 +109,7 @@ class CaseView:
     latest_step: str = ""  # the step that began or ended last
     share: float = 0.0  # of that step
     doing: str = ""
-    scan: events.ScanProgress | None = None  # of the skin, the latest
+    scan: events.ScanProgress | None = None  # of the skin, until a result is superseded
     waiting: events.Waiting | None = None
     question: events.Questioned | None = None
     asked_at: str = ""  # host time
@@ -186,7 +186,8 @@ def _changes(view: CaseView, what: events.EventContent) -> dict[str, Any]:
         case events.StepState() as step:
             return _step_changes(view, step)
         case events.Progress(step=step, share=share, text=text, scan=scan):
-            return {"share": share, "doing": text, "scan": scan} if step == view.running else {}
+            known = {"share": share, "doing": text, "scan": scan or view.scan}
+            return known if step == view.running else {}
         case events.Questioned():
             return {"question": what, "asked_at": view.host_time}
         case events.Answered(question=number) as answer:
@@ -238,7 +239,7 @@ def _step_changes(view: CaseView, step: events.StepState) -> dict[str, Any]:
             else row
             for row in view.steps
         )
-        return {"steps": rows, "results": view.results + 1}
+        return {"steps": rows, "results": view.results + 1, "scan": None}
     rows = tuple(
         replace(row, state=step.state, summary=step.summary, record=step.record or row.record, doubt="")
         if row.step == step.step
@@ -248,7 +249,7 @@ def _step_changes(view: CaseView, step: events.StepState) -> dict[str, Any]:
     changes: dict[str, Any] = {"steps": rows, "latest_step": step.step, "running": "", "waiting": None}
     if step.state == "begun":
         notices = _mark_notices(view.notices, step.step, retried=True)
-        return changes | {"running": step.step, "share": 0.0, "doing": "", "scan": None, "notices": notices}
+        return changes | {"running": step.step, "share": 0.0, "doing": "", "notices": notices}
     if step.state == "done":
         notices = _mark_notices(view.notices, step.step, settled=True)
         return changes | {"results": view.results + 1, "notices": notices}

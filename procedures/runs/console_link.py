@@ -27,7 +27,7 @@ from ronna_hw.host.child_process import ChildProcess, command
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
-    from procedures.workcell.stereo_look import Look
+    from procedures.workcell.stereo_look import PicturedLook
     from ronna_hw.command_line.viewers_address import ViewersAddress
 
 READY_S = 45.0  # host time; heavy imports, with what a busy computer leaves to a nice process
@@ -82,7 +82,7 @@ class ConsoleLink:
         self._answered = threading.Event()
         self._followed = threading.Event()
         self._over = threading.Event()
-        self._newest: Look | None = None
+        self._newest: PicturedLook | None = None
         self._look_arrived = threading.Event()
         self._start(self._await_ready, "console ready")
         self._start(self._beat_until_followed, "console beats")
@@ -168,7 +168,7 @@ class ConsoleLink:
             if all(event.what.signal for event in batch.events):
                 time.sleep(SIGNAL_PERIOD_S)
 
-    def _keep_look(self, seen: Look) -> None:
+    def _keep_look(self, seen: PicturedLook) -> None:
         """Keep the latest stereo pair to be sent, so that taking a look is not delayed."""
         self._newest = seen
         self._look_arrived.set()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from procedures.registration.surface.errors import ARM_NOT_CALIBRATED, NO_PATIENT_FRAME, NO_PROJECTOR
 from procedures.relocalization.errors import LINES_DO_NOT_MATCH, NOT_IN_A_PLANE, NoLine, Saturated
-from procedures.relocalization.laser_line import measure_line
+from procedures.relocalization.laser_line import LineImage, measure_line
 from procedures.relocalization.line_points import LinePoints, triangulate_line
 from procedures.workcell.stereo_look import area_image, grab_usable
 from ronna_hw.calibration import StereoHeadCalibration
@@ -23,9 +23,11 @@ NOT_SEEN = (NoLine, Saturated, LINES_DO_NOT_MATCH, NOT_IN_A_PLANE)
 
 @dataclass(frozen=True)
 class LineLook:
-    """Result of one look at the line. `points` is None where neither camera shows it well enough."""
+    """Result of one look at the line. `points` is None unless it was measured in both images."""
 
     reading: StereoReading
+    left: LineImage | None
+    right: LineImage | None
     points: LinePoints | None
     problem: RonnaError | None = None
 
@@ -58,13 +60,12 @@ def look_at_line(stereo: StereoPair, calibration: StereoHeadCalibration, clock: 
         reading = grab_usable(stereo, clock)
     finally:
         projector.set_projector(False)
+    left = right = None
     try:
-        left, right = (
-            measure_line(area_image(lit), area_image(unlit))
-            for lit, unlit in ((reading.left, dark.left), (reading.right, dark.right))
-        )
-        return LineLook(reading, triangulate_line(left, right, calibration))
+        left = measure_line(area_image(reading.left), area_image(dark.left))
+        right = measure_line(area_image(reading.right), area_image(dark.right))
+        return LineLook(reading, left, right, triangulate_line(left, right, calibration))
     except RonnaError as problem:
         if not is_error(problem, *NOT_SEEN):
             raise
-        return LineLook(reading, None, problem)
+        return LineLook(reading, left, right, None, problem)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from procedures.relocalization import errors
 from procedures.relocalization.grey_image import AreaImage
+from procedures.relocalization.laser_line import LineImage
 from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.relocalization.sphere_measurement import locate_sphere, sphere_radius_px
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM, StereoPoint, camera_model
@@ -52,6 +54,25 @@ class Look:
     def reason(self) -> str:
         """Why no point was measured; empty if one was."""
         return "" if self.problem is None else self.problem.what
+
+
+class PicturedLook(Protocol):
+    """Look at a sphere or a line, as its picture shows it."""
+
+    @property
+    def reading(self) -> StereoReading:
+        """Images that were taken."""
+        ...
+
+    @property
+    def left(self) -> SphereImage | LineImage | None:
+        """Sphere or line in the left image; None unless it was measured."""
+        ...
+
+    @property
+    def right(self) -> SphereImage | LineImage | None:
+        """Sphere or line in the right image; None unless it was measured."""
+        ...
 
 
 def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> AreaOfInterest:
@@ -173,8 +194,8 @@ class Sensors:
             self._exposure_share = share
 
 
-def pair_picture(seen: Look, height_px: int = PICTURE_HEIGHT_PX) -> bytes:
-    """Return the available images side by side as PNG, with the fitted outlines."""
+def pair_picture(seen: PicturedLook, height_px: int = PICTURE_HEIGHT_PX) -> bytes:
+    """Return the available images side by side as PNG, with the fitted outlines or the line's centres."""
     sides = (("left", seen.reading.left, seen.left), ("right", seen.reading.right, seen.right))
     drawn = [_draw(name, image, sphere, height_px) for name, image, sphere in sides if image is not None]
     height = min((picture.shape[0] for picture in drawn), default=height_px)
@@ -185,29 +206,38 @@ def pair_picture(seen: Look, height_px: int = PICTURE_HEIGHT_PX) -> bytes:
     return content.tobytes()
 
 
-def _draw(side: str, image: CameraImage, sphere: SphereImage | None, height_px: int) -> Picture:
+def _draw(side: str, image: CameraImage, seen: SphereImage | LineImage | None, height_px: int) -> Picture:
     pixels = image.pixels
     eight_bit = pixels if pixels.dtype == np.uint8 else (pixels >> 4).astype(np.uint8)
     scale = height_px / pixels.shape[0]
     small = cv2.resize(eight_bit, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     colour = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
-    lines = (f"{side} {image.serial}", "no sphere" if sphere is None else _describe_sphere(sphere))
+    lines = (f"{side} {image.serial}", _describe(seen))
     caption = np.full((len(lines) * CAPTION_PX, colour.shape[1], 3), PAPER_BGR, dtype=np.uint8)
     for number, words in enumerate(lines, start=1):
         (width_px, _), _ = cv2.getTextSize(words, LETTERS, LETTER_SCALE, 1)
         letters = LETTER_SCALE * min(1.0, (caption.shape[1] - 4) / width_px)  # whole on a narrow image too
         cv2.putText(caption, words, (2, number * CAPTION_PX - 6), LETTERS, letters, (0, 0, 0), 1, cv2.LINE_AA)
-    if sphere is not None:
-        ink = TRUSTED_BGR if sphere.status is SphereStatus.OK else DOUBTED_BGR
-        x = (sphere.centre_px[0] - image.area.offset_x) * scale
-        y = (sphere.centre_px[1] - image.area.offset_y) * scale
-        radius = round(scale * (sphere.axes_px[0] + sphere.axes_px[1]) / 2)
-        centre = (round(x), round(y))
+
+    def place(centre_px: ArrayLike) -> list[int]:
+        corner_px = (image.area.offset_x, image.area.offset_y)
+        return [round(value) for value in (np.subtract(centre_px, corner_px) * scale).tolist()]
+
+    if isinstance(seen, SphereImage):
+        ink = TRUSTED_BGR if seen.status is SphereStatus.OK else DOUBTED_BGR
+        radius, centre = round(scale * (seen.axes_px[0] + seen.axes_px[1]) / 2), place(seen.centre_px)
         cv2.circle(colour, centre, radius, ink, 1, cv2.LINE_AA)
         cv2.drawMarker(colour, centre, ink, cv2.MARKER_CROSS, 14, 1, cv2.LINE_AA)
+    elif seen is not None:
+        for centre_px in seen.centres_px:
+            cv2.circle(colour, place(centre_px), 1, TRUSTED_BGR, -1, cv2.LINE_AA)
     return np.asarray(np.vstack([caption, colour]), dtype=np.uint8)
 
 
-def _describe_sphere(sphere: SphereImage) -> str:
-    x, y = sphere.centre_px
-    return f"{x:.2f} {y:.2f} px, rim {sphere.rim_fraction:.0%}, {sphere.doubt or sphere.status}"
+def _describe(seen: SphereImage | LineImage | None) -> str:
+    if seen is None:
+        return "not found"
+    if isinstance(seen, LineImage):
+        return f"line of {len(seen.centres_px)} points"
+    x, y = seen.centre_px
+    return f"{x:.2f} {y:.2f} px, rim {seen.rim_fraction:.0%}, {seen.doubt or seen.status}"

@@ -97,7 +97,7 @@ class Workcell:
         self.master: Master = Master(self._log, self.motion, self.calibrations, self.assistants)
         self.arms: Mapping[str, SupervisedArm] = {arm.role: arm for arm in (self.master, *self.assistants)}
         # Callbacks of a display: quick, never raise.
-        self.on_look: Callable[[Look], None] = lambda _look: None
+        self.on_look: Callable[[Look | LineLook], None] = lambda _look: None
         self.on_stop_failed: Callable[[str], object] = lambda _failure: None
         self._enhance_contrast = enhance_contrast
         self.sensors = Sensors(lambda: self.stereo, self.calibrations.stereo_head)
@@ -258,7 +258,9 @@ class Workcell:
 
     def look_at_line(self) -> LineLook:
         """Measure the projector's line, lit for this look alone. Raises SRF-030, STE-012."""
-        return look_at_line(self.stereo, self.calibrations.stereo_head, self.clock)
+        seen = look_at_line(self.stereo, self.calibrations.stereo_head, self.clock)
+        self.on_look(seen)
+        return seen
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction streams and, if requested, the cameras. Raises PRO-002, TOOL-001."""

@@ -90,7 +90,7 @@ def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
     with operated_cases(place) as start:
         case = start("step", "--speed", SPEED)
         page = _open_page(browser)
-        enter(page, case.addresses["url"] + "&low")
+        enter(page, case.addresses["url"])
         await_next(page, "ct_import")
         yield from _take(page, out, "console-start")
         take_seat(page, "Dr Rehearsal")

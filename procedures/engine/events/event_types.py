@@ -20,6 +20,8 @@ MOST_STEPS = 800  # seven for each of a plan's trajectories, of which there are 
 Count = Annotated[int, Field(ge=0, lt=2**63)]  # of which a rate is computed: a longer one is no number there
 
 Ends = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
+MOST_PLACES = 1_000  # of the skin: all of them are sent after each look
+Places = Annotated[tuple[tuple[float, float, float], ...], Field(max_length=MOST_PLACES)]
 
 
 class _Plain(BaseModel):
@@ -56,8 +58,17 @@ class StepState(_EventBase):
     record: str | None = Field(default=None, description="Identifier of the result.")
 
 
+class ExpectedError(_Plain):
+    """Error to expect at a target as the scan of the skin grows, without arm and guide."""
+
+    target: str
+    rms_mm: tuple[Annotated[float, Field(ge=0)] | None, ...] = Field(
+        description="After each look taken, in their order; none: it was too little."
+    )
+
+
 class ScanProgress(_Plain):
-    """State of a scan of the skin."""
+    """State of a scan of the skin, as it grows or at its end."""
 
     looks_done: Count = Field(description="Looks taken, with those kept from before an interruption.")
     looks_planned: Count
@@ -65,6 +76,9 @@ class ScanProgress(_Plain):
     predicted_error_mm: float | None = Field(
         description="Expected rms error at the targets with what is scanned so far; none: it is too little."
     )
+    expected: tuple[ExpectedError, ...] = Field(default=(), description="The same, target by target.")
+    covered_mm: Places = Field(default=(), description="Places of the planned skin that are covered, CT.")
+    missing_mm: Places = Field(default=(), description="Those that are not, CT.")
 
 
 class Progress(_EventBase):

@@ -15,6 +15,10 @@ from ronna_hw.text import format_count
 
 SURFACE_PICTURES = "surface-"  # names of pictures of the skin begin with it
 LEAST_TOLD = 0.001  # of the boundary
+# Skin while it is scanned and afterwards, in pictures and scene.
+SCANNED_SKIN, MISSING_SKIN = "scanned", "planned, not covered"
+THREE_SIDES = "Skin in the CT from the right, the front and the left"
+COVERAGE_CAPTION = f"{THREE_SIDES}; green: {SCANNED_SKIN}; pink: {MISSING_SKIN}"
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,12 @@ class SurfaceSection:
             return "the clamp's frame"
         return "the first looks" if self.start is not None and self.start.survey else "the landmarks"
 
+    @property
+    def coverage_caption(self) -> str:
+        """What the picture of the coverage shows; scans of earlier versions have no place that is missing."""
+        pink = f"; pink: {MISSING_SKIN}" if self.scan is not None and self.scan.progress is not None else ""
+        return f"{THREE_SIDES}; green: {SCANNED_SKIN}, points placed by {self.placed_by}{pink}"
+
 
 def read_surface(reading: RunReading) -> SurfaceSection | None:
     """Read the section; None for a case with markers."""
@@ -92,7 +102,7 @@ def read_surface(reading: RunReading) -> SurfaceSection | None:
 def caption_of_skin(name: str) -> str:
     """Describe a picture of the skin by its name."""
     if name.startswith(PurePath(COVERAGE_PICTURE).stem):
-        return "skin covered by the scan"
+        return COVERAGE_CAPTION
     return (
         f"points by their distance to the skin in the CT: blue inside, red outside, full colour from "
         f"{FULL_COLOUR_MM:g} mm; rings are left out"

@@ -23,6 +23,7 @@ from pydantic import (
 
 from procedures.calibration.base_to_base import meeting_error_mm
 from procedures.engine.context import StepContext
+from procedures.engine.events import ScanProgress
 from procedures.guards.stability import SeenUnchanged, Subject
 from procedures.journal.results import FramedPose, Matrix3, StepResult, Values
 from procedures.operator.question import PredictedError
@@ -130,6 +131,9 @@ class ScannedSurface(Relocalization, kind="surface_scan"):
     covered: float = Field(description="Share of the skin above the jaw within 10 mm of a point.")
     theatre_s: float = Field(description="Theatre time of all looks and the ways to them, without pauses.")
     kept_looks: int = Field(default=0, description="Looks that were taken before the scan was interrupted.")
+    progress: ScanProgress | None = Field(
+        default=None, description="Its state at the end; null of earlier versions."
+    )
 
     @property
     def scan(self) -> SurfaceScan:

@@ -108,6 +108,14 @@ def test_a_token_is_exchanged_for_an_http_only_cookie_and_removed_from_the_addre
     assert console.sessions.operator_token not in str(answer.headers)
 
 
+@pytest.mark.parametrize(("more", "location"), [("&low", "/?low"), ("&low=1&x=//y", "/?low"), ("&x", "/")])
+def test_of_an_address_with_a_token_only_the_option_for_slow_computers_is_kept(
+    console: Console, more: str, location: str
+) -> None:
+    answer = console.request("GET", "/", query=f"token={console.sessions.viewer_token}{more}")
+    assert (answer.status, answer.headers["location"]) == (303, location)
+
+
 def test_a_browser_with_the_cookie_gets_the_page_and_the_socket(console: Console) -> None:
     cookie = console.viewer()
     assert console.request("GET", "/", headers={"cookie": cookie}).status == 200

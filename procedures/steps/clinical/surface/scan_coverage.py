@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from procedures.engine.events import ScanProgress
+from procedures.engine.events import ExpectedError, ScanProgress
 from procedures.registration.surface.errors import LITTLE_COVERAGE
 from procedures.registration.surface.stations import PLANNED_POINTS, expect_error
 from procedures.registration.surface.surface import Surface
@@ -17,50 +19,74 @@ from ronna_hw.errors import RonnaError, is_error
 
 COVERED_MM = 5.0  # a place of the skin this near to a point is covered: half of the way to the next line
 
+SHOWN_PLACES = 400  # most places that are published: 4 mm apart, as a picture shows them
+DECIMALS = 1  # of their coordinates, mm
+
 # Of the expected error, which is shown only below this.
 # Safety against a figure of places that allow any pose (U).
 DETERMINED_MM = 10.0
 
 
 class ScanCoverage:
-    """Places of the skin around the middles of looks (n, 3), and those covered; all in the CT, mm."""
+    """Places of the skin around the middles of looks (n, 3), and those covered; all in the CT, mm.
 
-    def __init__(self, skin: Surface, middles_mm: ArrayLike, targets_mm: ArrayLike) -> None:
+    `targets_mm` has the place of each target by its name.
+    """
+
+    def __init__(
+        self, skin: Surface, middles_mm: ArrayLike, targets_mm: Mapping[str, Sequence[float]]
+    ) -> None:
         places_mm = skin.points_mm
         apart, _ = cKDTree(middles_mm).query(places_mm, distance_upper_bound=SEEN_MM)
         planned = np.isfinite(apart)
         self._places, self._normals = places_mm[planned], skin.normals[planned]
+        self._shown = thin_points(self._places, SHOWN_PLACES)
         self._covered = np.zeros(len(self._places), dtype=bool)
-        self._targets = np.asarray(targets_mm, dtype=float)
+        self._targets = targets_mm
+        self._expected: list[list[float]] = []  # mm rms at each target after each look
 
     def add(self, points_mm: Array) -> None:
-        """Add points (n, 3) of a look."""
+        """Add a look by its points (n, 3), none of one that shows no line."""
         if len(points_mm) and len(self._places):
             apart, _ = cKDTree(points_mm).query(self._places, distance_upper_bound=COVERED_MM)
             self._covered |= np.isfinite(apart)
+        self._expected.append(self._expect_errors())
 
-    def after(self, looks_done: int, looks_planned: int) -> ScanProgress:
-        """Return the state of the scan after some of its looks."""
+    def after(self, looks_planned: int) -> ScanProgress:
+        """Return the state of the scan after the looks that were added."""
+        places, covered = np.round(self._places[self._shown], DECIMALS), self._covered[self._shown]
+        latest = self._expected[-1] if self._expected else [np.inf]
         return ScanProgress(
-            looks_done=looks_done,
+            looks_done=len(self._expected),
             looks_planned=looks_planned,
             covered_share=float(self._covered.mean()) if len(self._covered) else 0.0,
-            predicted_error_mm=self._expect_error(),
+            predicted_error_mm=_told(float(np.sqrt(np.mean(np.square(latest))))),
+            expected=tuple(
+                ExpectedError(target=target, rms_mm=tuple(_told(after[place]) for after in self._expected))
+                for place, target in enumerate(self._targets)
+            ),
+            covered_mm=places[covered].tolist(),
+            missing_mm=places[~covered].tolist(),
         )
 
-    def _expect_error(self) -> float | None:
+    def _expect_errors(self) -> list[float]:
+        """Return the rms error at each target, infinite without enough skin."""
+        unknown = [np.inf] * len(self._targets)
         if not self._covered.any():
-            return None
+            return unknown
         places, normals = self._places[self._covered], self._normals[self._covered]
         rows = thin_points(places, PLANNED_POINTS)
         try:
-            expected = expect_error(places[rows], normals[rows], self._targets)
+            expected = expect_error(places[rows], normals[rows], list(self._targets.values()))
         except RonnaError as problem:
             if not is_error(problem, LITTLE_COVERAGE):
                 raise
-            return None
-        rms_mm = float(np.sqrt(np.mean([one.rms_mm**2 for one in expected])))
-        return rms_mm if rms_mm < DETERMINED_MM else None
+            return unknown
+        return [one.rms_mm for one in expected]
+
+
+def _told(rms_mm: float) -> float | None:
+    return rms_mm if rms_mm < DETERMINED_MM else None
 
 
 def describe_scan(state: ScanProgress) -> str:
@@ -68,6 +94,6 @@ def describe_scan(state: ScanProgress) -> str:
     expected = state.predicted_error_mm
     return (
         f"looked {state.looks_done} of {state.looks_planned} times at the skin, {state.covered_share:.0%} of "
-        "what was planned"
+        "the planned skin covered"
         + ("" if expected is None else f", expected error {expected:.2f} mm without arm and guide")
     )

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from procedures.engine.context import StepContext
+from procedures.engine.events import ScanProgress
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -40,7 +41,15 @@ from procedures.workcell.centring import Centring
 from ronna_hw.arrays import Array
 
 LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
-OF_LINES = ("lines", "planned_looks", "dark", "covered", "theatre_s", "kept_looks")  # of the result
+OF_LINES = (
+    "lines",
+    "planned_looks",
+    "dark",
+    "covered",
+    "theatre_s",
+    "kept_looks",
+    "progress",
+)  # of the result
 
 
 def run(context: StepContext) -> Outcome[ScannedSurface]:
@@ -89,7 +98,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     kept = [ScannedLook.model_validate(one) for one in workcell.scanned_looks(_name_of(context))]
     if kept:
         context.find(f"{len(kept)} of {len(planned)} looks at the skin are kept from before the interruption")
-    looks = _take_looks(context, paths, kept)
+    looks, state = _take_looks(context, paths, kept)
     dark = {str(one.number + 1): one.reason for one in looks if not one.lines}
     lines = [line for one in looks for line in one.lines]
     for number, reason in dark.items():
@@ -100,7 +109,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
         over_skin.back_off()
     check_room(context, "after the skin was scanned")
     points_mm = _points_in_ct(context, lines)
-    covered, picture = draw_coverage(skin_of(context), points_mm)
+    covered, picture = draw_coverage(skin_of(context), points_mm, np.reshape(state.missing_mm, (-1, 3)))
     context.keep_picture(COVERAGE_PICTURE, picture)
     return Outcome(
         ScannedSurface.without_spheres(
@@ -110,6 +119,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
             covered=covered,
             theatre_s=sum(one.theatre_s for one in looks),
             kept_looks=len(kept),
+            progress=state,
         ),
         summary=f"{len(lines)} lines, {len(points_mm)} points, {tell_coverage(covered)}"
         + (f"; {len(dark)} looks show no line" if dark else ""),
@@ -123,21 +133,24 @@ def _name_of(context: StepContext) -> str:
 
 def _take_looks(
     context: StepContext, paths: CheckedPaths, kept: Sequence[ScannedLook]
-) -> tuple[ScannedLook, ...]:
-    """Take the looks that are not kept, each on disk before the next. One that shows no line is not kept."""
+) -> tuple[tuple[ScannedLook, ...], ScanProgress]:
+    """Take the looks that are not kept, each on disk before the next, and return all with the scan's state.
+
+    One that shows no line is not kept.
+    """
     planned, workcell, plan = paths.skin_looks, context.workcell, context.result(CheckedPlan)
     ct_from_robot = context.result(SurfaceStart).robot_from_ct.transform.inverse()
     coverage = ScanCoverage(
         skin_of(context),
         ct_from_robot.apply([one.tool_pose.transform.translation_mm for one in planned]),
-        [plan.trajectory(target).target_mm for target in context.served_trajectories],
+        {target: plan.trajectory(target).target_mm for target in context.served_trajectories},
     )
     looks = list(kept)
     for one in kept:
         coverage.add(_points_in_ct(context, one.lines))
     taken = {one.number for one in kept}
     for number in (place for place in range(len(planned)) if place not in taken):
-        state = coverage.after(len(looks), len(planned))
+        state = coverage.after(len(planned))
         context.progress(len(looks) / len(planned), describe_scan(state), state)
         began_s = read_time_s(workcell)  # after a pause
         sides = arriving(context, paths, planned[number])
@@ -148,16 +161,17 @@ def _take_looks(
         looks.append(ScannedLook(number=number, lines=lines, reason=scanner.reason, theatre_s=theatre_s))
         if lines:
             workcell.record_scanned_look(_name_of(context), looks[-1].model_dump(mode="json"))
-            coverage.add(_points_in_ct(context, lines))
-    state = coverage.after(len(looks), len(planned))
+        coverage.add(_points_in_ct(context, lines))
+    state = coverage.after(len(planned))
     context.progress(1.0, describe_scan(state), state)
-    return tuple(looks)
+    return tuple(looks), state
 
 
 def _points_in_ct(context: StepContext, lines: Sequence[ScannedLine]) -> Array:
     """Return the points (n, 3) of lines in the CT, by the start of the registration."""
     ct_from_robot = context.result(SurfaceStart).robot_from_ct.transform.inverse()
-    return np.asarray(ct_from_robot.apply(np.concatenate([line.points_mm for line in lines])))
+    points_mm = [point for line in lines for point in line.points_mm]
+    return np.asarray(ct_from_robot.apply(points_mm)) if points_mm else np.empty((0, 3))
 
 
 STEP = StepSpec(
