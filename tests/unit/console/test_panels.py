@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from case_events import question
 from skin_case import registered_by_surface, scanned_surface, skin_in_ct
@@ -24,8 +26,11 @@ from console.panels.results import (
     pictures,
     problems,
 )
+from console.panels.skin_scan import skin_scan
+from console.scene.scanned_skin import shown_scan
 from procedures.engine.case_view import CaseView, DeviceRow, Notice, StepRow
-from procedures.engine.events import DeviceFact, DeviceState, ScanProgress, Seat, Waiting
+from procedures.engine.events import DeviceFact, DeviceState, ExpectedError, ScanProgress, Seat, Waiting
+from procedures.imaging.drawn_skin import DrawnSkin
 from procedures.operator.question import Evidence, Identity, Picture, PredictedError
 from procedures.reporting.case_figures import CaseFigures
 from procedures.reporting.sections.surface import SurfaceSection
@@ -209,13 +214,59 @@ def test_a_line_that_is_not_json_is_omitted_and_other_text_is_escaped(tmp_path: 
     assert "torn" not in shown
 
 
-def test_a_scan_of_the_skin_is_shown_while_it_grows_and_then_by_what_the_registration_left_out() -> None:
-    known = SurfaceSection(skin_in_ct(), None, scanned_surface(), registered_by_surface())
-    growing = CaseView(
-        scan=ScanProgress(looks_done=7, looks_planned=18, covered_share=0.42, predicted_error_mm=0.61)
-    )
+GROWING = ScanProgress(
+    looks_done=3,
+    looks_planned=18,
+    covered_share=0.42,
+    predicted_error_mm=0.61,
+    expected=(
+        ExpectedError(target="T1", rms_mm=(None, 1.2, 0.61)),
+        ExpectedError(target="T<2>", rms_mm=(None, None, None)),
+    ),
+    covered_mm=((-9.0, -88.0, 0.0), (9.0, -88.0, 0.0)),
+    missing_mm=((60.0, -60.0, 0.0),),
+)
+
+
+def test_a_growing_scan_shows_its_places_on_the_skin_and_the_error_at_each_target_as_it_falls() -> None:
+    ball = np.random.default_rng(1).normal(size=(2000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    shown = skin_scan(GROWING, DrawnSkin(90.0 * ball, ball))
+    for words in ("3 of 18", "42%", "0.61", "T&lt;2&gt;", "too little scanned", "from 1.20 to 0.61"):
+        assert words in shown
+    for words in ("/picture/skin.png", "green: scanned", "pink: planned, not covered"):
+        assert words in shown
+    missing, covered = re.findall(r'<path d="([^"]+)" stroke="([^"]+)"', shown)
+    assert missing[1] == "rgb(215,40,140)"
+    assert missing[0].count("M") == 2  # from the front and the left
+    assert covered[1] == "rgb(20,110,60)"
+    assert covered[0].count("M") == 4  # the front has both, each side one
+    assert 'points="0.111,0.000 0.111,0.000 0.167,0.492"' in shown
+
+
+def test_a_scan_without_places_or_head_is_told_by_its_figures_and_none_is_not_shown() -> None:
+    old = ScanProgress(looks_done=7, looks_planned=18, covered_share=0.42, predicted_error_mm=0.61)
     for words in ("7 of 18", "42%", "0.61"):
-        assert words in accuracy(growing, None)
+        assert words in skin_scan(old, None)
+    assert "skin.png" not in skin_scan(old, None)
+    assert skin_scan(None, None) == ""
+
+
+def test_what_a_scan_has_covered_stays_after_it_from_its_record() -> None:
+    whole = SurfaceSection(
+        skin_in_ct(), None, scanned_surface().model_copy(update={"progress": GROWING}), None
+    )
+    assert shown_scan(CaseView(), None) is None
+    assert shown_scan(CaseView(), CaseFigures(surface=whole)) == GROWING
+    again = GROWING.model_copy(update={"looks_done": 0})
+    assert shown_scan(CaseView(scan=again), CaseFigures(surface=whole)) == again
+    assert "pink: planned, not covered" in whole.coverage_caption
+    earlier = replace(whole, scan=scanned_surface())
+    assert "pink" not in earlier.coverage_caption
+
+
+def test_a_scan_of_the_skin_is_shown_by_what_the_registration_left_out() -> None:
+    known = SurfaceSection(skin_in_ct(), None, scanned_surface(), registered_by_surface())
     asked = CaseFigures(
         surface=known,
         predictions=(PredictedError(target="T1", rms_mm=0.5, limit_mm=0.9, confidence=0.95, margin_mm=2.0),),

@@ -19,12 +19,13 @@ from console.guard import Session, SessionRole
 from console.hub import Hub
 from console.panels.results import LogTail
 from console.scene.bodies import closest_pair, rotation_along
-from console.scene.head_surface import encode_stl, find_series_folder, head_surface
+from console.scene.head_surface import corner_normals, encode_stl, find_series_folder, head_surface
+from console.scene.scanned_skin import COVERED, MISSING
 from console.scene.sights import is_hidden, volume_edges
 from console.scene.theatre_scene import TheatreScene
 from console.web.page import CasePage
 from procedures.engine.case_view import CaseView, ReportedPose
-from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose
+from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose, ScanProgress
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.reporting.case_figures import CaseFigures, TrajectoryFigure
 from ronna_hw.frames import Frame, Transform
@@ -201,6 +202,40 @@ def test_the_instrument_is_drawn_from_the_end_of_the_guide_to_the_planned_target
     in_a_scene(do)
 
 
+def test_covered_skin_grows_over_the_head_and_the_camera_stands_before_the_face() -> None:
+    places = ((0.0, -90.0, 0.0), (20.0, -85.0, 0.0))
+    scan = ScanProgress(
+        looks_done=0, looks_planned=2, covered_share=0.0, predicted_error_mm=None, missing_mm=places
+    )
+    half = scan.model_copy(update={"covered_mm": places[:1], "missing_mm": places[1:]})
+
+    def do(scene: TheatreScene) -> None:
+        def clouds() -> dict[str, list[list[float]]]:
+            return {cloud.color: np.array(cloud.args[0]).tolist() for cloud in scene.skin._clouds}
+
+        scene.show(CaseView(scan=scan), PLACED, 1)
+        assert list(clouds()) == [MISSING]
+        scene.show(CaseView(scan=half), PLACED, 1)
+        assert clouds() == {
+            COVERED: [pytest.approx([0.7, -0.09, 0.3])],
+            MISSING: [pytest.approx([0.72, -0.085, 0.3])],
+        }
+        assert scene.skin.camera == (
+            pytest.approx((710.0, -637.5, 440.0)),
+            pytest.approx((710.0, -87.5, 300.0)),
+        )
+        same = scene.skin._clouds
+        scene.show(CaseView(scan=half), PLACED, 1)
+        assert scene.skin._clouds is same
+        for gone in (CaseView(), CaseView(scan=half.model_copy(update={"covered_mm": (), "missing_mm": ()}))):
+            scene.show(gone, PLACED, 1)
+            assert (scene.skin._clouds, scene.skin.camera) == ([], None)
+        scene.show(CaseView(scan=half), None, 1)
+        assert scene.skin._clouds == []
+
+    in_a_scene(do)
+
+
 SHAPE = (60, 80, 70)  # slices, rows, columns
 SPACING_MM = np.array([2.0, 1.0, 1.5])
 ORIGIN_MM = np.array([-50.0, -30.0, 700.0])
@@ -233,6 +268,15 @@ def test_the_surface_is_the_filled_head_without_the_headrest_and_not_mirrored() 
     assert from_middle[:, 0].min() > -28.0
     assert np.median(distances) == pytest.approx(25.0, abs=1.5)
     assert triangles.max() < len(corners)
+
+
+def test_normals_at_the_corners_point_out_of_the_head() -> None:
+    corners, triangles = head_surface(scan(mark=False))
+    from_middle = corners - scan().geometry.to_patient_mm(np.array(SHAPE) / 2)
+    normals = corner_normals(corners, triangles)
+    directions = from_middle / np.linalg.norm(from_middle, axis=1, keepdims=True)
+    assert np.sum(normals * directions, axis=1).min() > 0.8
+    assert corner_normals(corners, triangles[:, ::-1]) == pytest.approx(normals)
 
 
 def test_an_empty_scan_has_no_head() -> None:

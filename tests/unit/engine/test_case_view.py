@@ -15,6 +15,7 @@ from procedures.engine.events import (
     OrderedStep,
     Pose,
     Progress,
+    ScanProgress,
     Seat,
     StepState,
 )
@@ -29,6 +30,15 @@ def test_a_completed_step_is_shown_as_done_and_a_superseded_one_as_superseded() 
     assert (again.steps[2].state, again.steps[2].summary) == ("superseded", done.summary)
     voided = view_after(ORDER, done, gone.model_copy(update={"summary": "the cart has moved"}))
     assert (voided.steps[2].state, voided.steps[2].summary) == ("superseded", "the cart has moved")
+
+
+def test_a_scan_stays_in_view_through_the_steps_after_it_until_a_result_is_superseded() -> None:
+    scan = ScanProgress(looks_done=1, looks_planned=2, covered_share=0.5, predicted_error_mm=None)
+    begun, after = (StepState(step=step, state="begun") for step in ("image", "fit:T1"))
+    scanned = (ORDER, begun, Progress(step="image", share=0.5, text="", scan=scan))
+    later = (*scanned, after, Progress(step="fit:T1", share=0.5, text=""))
+    assert view_after(*later).scan == scan
+    assert view_after(*later, StepState(step="image", state="superseded", record="1")).scan is None
 
 
 def test_a_resumed_run_shows_its_results_as_done_and_drops_open_question_and_seat() -> None:

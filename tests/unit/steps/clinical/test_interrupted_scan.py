@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,9 +12,11 @@ import pytest
 from procedures.engine.context import StepContext
 from procedures.engine.events import ScanProgress
 from procedures.journal.journal import Entry, Line
+from procedures.registration.surface.surface import Surface
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import ScannedLine, ScannedLook
 from procedures.steps.clinical.surface import surface_scan, surface_survey
+from procedures.steps.clinical.surface.scan_coverage import ScanCoverage
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.workcell import Workcell
 from ronna_hw.frames import Frame, Transform
@@ -30,6 +33,19 @@ class Skin:
     )
     points_mm = points_mm.reshape(-1, 3)
     normals = np.tile([0.0, 0.0, 1.0], (len(points_mm), 1))
+
+
+class Dome:
+    """Upper half of an ellipsoid, which determines a pose."""
+
+    def __init__(self) -> None:
+        turn, height = (
+            one.ravel() for one in np.meshgrid(np.arange(0.0, 6.28, 0.05), np.arange(0.05, 1.5, 0.05))
+        )
+        ball = np.column_stack([np.cos(turn) * np.cos(height), np.sin(turn) * np.cos(height), np.sin(height)])
+        axes_mm = np.array([75.0, 95.0, 85.0])
+        self.points_mm = ball * axes_mm
+        self.normals = ball / axes_mm / np.linalg.norm(ball / axes_mm, axis=1, keepdims=True)
 
 
 class Cell:
@@ -107,7 +123,8 @@ class Scan:
             ),
         )
         kept = [ScannedLook.model_validate(one) for one in self.cell.scanned_looks(self.paths)]
-        return surface_scan._take_looks(context, cast(CheckedPaths, paths), kept)
+        looks, self.state = surface_scan._take_looks(context, cast(CheckedPaths, paths), kept)
+        return looks
 
     def survey(self, measured: str = "08-head_measurement") -> tuple[ScannedLook, ...]:
         """Take first looks at a measured head."""
@@ -200,6 +217,44 @@ def test_progress_grows_and_goes_on_where_a_scan_was_interrupted(scan: Scan) -> 
     assert covered == sorted(covered)
     assert 0.0 < covered[0] < covered[-1]
     assert scan.states[-1].predicted_error_mm is None  # a plane allows any pose along it
+
+
+def test_what_is_covered_and_what_is_not_are_the_planned_skin_after_every_look_and_after_an_interruption(
+    scan: Scan,
+) -> None:
+    scan.stops_at = 3
+    with pytest.raises(Interrupted):
+        scan.take()
+    scan.stops_at = LOOKS
+    scan.take()
+    before, after = scan.states[3], scan.states[4]
+    assert before.covered_mm == after.covered_mm != ()
+    planned = {frozenset(one.covered_mm + one.missing_mm) for one in scan.states}
+    assert len(planned) == 1
+    covered = [set(one.covered_mm) for one in scan.states[4:]]
+    assert all(less <= more for less, more in itertools.pairwise(covered))
+    beyond = 10.0 + 20.0 * DARK  # between the looks beside it, and covered by neither
+    assert {x for x, _, _ in scan.state.missing_mm} >= {beyond - 2.0}
+    assert scan.state == scan.states[-1]
+    assert [(one.target, one.rms_mm) for one in scan.state.expected] == [("T1", (None,) * LOOKS)]
+
+
+def test_the_error_that_is_expected_at_each_target_falls_look_by_look() -> None:
+    dome = Dome()
+    looks = dome.points_mm[:: len(dome.points_mm) // 6][:6]
+    targets = {"deep": (0.0, 0.0, 0.0), "shallow": (0.0, -60.0, 40.0)}
+    coverage = ScanCoverage(cast(Surface, dome), looks, targets)
+    for look in looks:
+        coverage.add(dome.points_mm[np.linalg.norm(dome.points_mm - look, axis=1) < 12.0])
+    state = coverage.after(6)
+    assert [one.target for one in state.expected] == list(targets)
+    for one in state.expected:
+        known = [error for error in one.rms_mm if error is not None]
+        assert len(one.rms_mm) == 6
+        assert len(known) >= 2
+        assert known[-1] < known[0]
+    last = [one.rms_mm[-1] for one in state.expected]
+    assert state.predicted_error_mm == pytest.approx(np.sqrt(np.mean(np.square(last))))
 
 
 def test_kept_looks_are_lines_of_the_journal() -> None:

@@ -6,6 +6,7 @@ from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any, cast
 
+import cv2
 import numpy as np
 import pytest
 from coded_errors import raises
@@ -30,6 +31,7 @@ from procedures.registration.surface.errors import (
 )
 from procedures.registration.surface.surface import Surface
 from procedures.relocalization.errors import NoLine, PairNotUsable
+from procedures.relocalization.laser_line import LineImage
 from procedures.runs.case import strategy_of
 from procedures.runs.request import CaseProcedure
 from procedures.runs.request_checks import require_one_change
@@ -46,9 +48,11 @@ from procedures.steps.clinical.surface import skin_in_ct, surface_paths
 from procedures.steps.clinical.surface.head_measurement import BY_TAPE
 from procedures.steps.clinical.surface.landmark_reading import BY_POINTER, LandmarkReading, place_head
 from procedures.steps.clinical.surface.look_scanner import require_lines
-from procedures.workcell import line_look
+from procedures.workcell import line_look, workcell
+from procedures.workcell.stereo_look import TRUSTED_BGR, pair_picture
 from ronna_hw.arrays import Array
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.roles import TWO_ARMS
 
@@ -204,6 +208,32 @@ def test_the_laser_is_lit_for_its_own_pair_alone(usable: bool, monkeypatch: pyte
         line_look.look_at_line(cast(Any, head), cast(Any, None), cast(Any, None))
     assert lit == [False, True]
     assert not head.projector_on
+
+
+def test_the_pair_at_the_line_is_shown_with_the_points_that_were_measured() -> None:
+    area = AreaOfInterest(100, 200, 400, 600)
+    sides = [SimpleNamespace(serial=name, area=area, pixels=np.zeros((600, 400), np.uint8)) for name in "ab"]
+    reading = cast(StereoReading, SimpleNamespace(left=sides[0], right=sides[1]))
+    centres_px = np.array([[300.0, float(row)] for row in range(220, 780, 30)])
+    line = LineImage(centres_px, *(np.zeros(1) for _ in range(6)))  # type: ignore[arg-type]  # not drawn
+    seen = line_look.LineLook(reading, line, None, None, NoLine("no laser line in view"))
+    shown = cv2.imdecode(np.frombuffer(pair_picture(seen, 300), np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None
+    caption_px = shown.shape[0] - 300
+    columns, rows = np.unique(np.argwhere((shown == TRUSTED_BGR).all(axis=2))[:, 1]), shown[caption_px:, 100]
+    assert {99, 100, 101} >= set(columns.tolist()) >= {100}  # of the left picture alone
+    assert (rows == TRUSTED_BGR).all(axis=1).sum() >= len(centres_px)
+
+
+def test_the_workcell_shows_each_pair_at_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = line_look.LineLook(cast(StereoReading, None), None, None, None)
+    shown: list[object] = []
+    monkeypatch.setattr(workcell, "look_at_line", lambda *_arguments: seen)
+    cell = SimpleNamespace(
+        stereo=None, calibrations=SimpleNamespace(stereo_head=None), clock=None, on_look=shown.append
+    )
+    assert workcell.Workcell.look_at_line(cast(workcell.Workcell, cell)) is seen
+    assert shown == [seen]
 
 
 def test_a_recorded_scan_gives_back_points_and_covariances() -> None:
