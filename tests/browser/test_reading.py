@@ -20,6 +20,7 @@ from page_reading import (
     low_contrast_by_scheme,
     not_reached_by_tab,
     too_wide,
+    too_wide_by_screen,
     tops_px,
     without_name,
 )
@@ -32,11 +33,14 @@ from procedures.engine.events import (
     DeviceFact,
     DeviceState,
     EventContent,
+    ExpectedError,
     Fault,
     JournalLine,
     LinkHealth,
+    Progress,
     Questioned,
     Refusal,
+    ScanProgress,
     StepState,
     Waiting,
 )
@@ -197,6 +201,42 @@ def test_a_question_that_follows_a_longer_one_is_brought_into_view_and_no_focus_
         page.wait_for_function("window.scrollY > 150")
         page.locator(".typed input").first.focus()
         page.wait_for_function(CLEAR_OF_THE_HEAD, arg=".typed input")
+
+
+def test_a_scan_of_the_skin_grows_look_by_look_stays_after_a_reload_and_fits_a_phone(
+    page: Any, tmp_path: Path
+) -> None:
+    second_look = Event()
+
+    def content() -> Iterator[EventContent]:
+        yield from (OPENED, StepState(step="relocalization:T1", state="begun"), scanned(None))
+        while not second_look.wait(0.1):
+            yield LINK
+        yield scanned(None, 0.83)
+
+    with served_at(tmp_path, content=content()) as (_, addresses):
+        enter(page, addresses["viewer_url"] + "&low")
+        page.wait_for_selector(".skinbox >> text=too little scanned")
+        second_look.set()
+        page.wait_for_selector(".skinbox >> text=0.83")
+        page.reload()
+        page.wait_for_selector(".skinbox >> text=0.83")
+        assert page.url.endswith("/?low")
+        assert low_contrast_by_scheme(page) == {}
+        assert without_name(page) == []
+        assert too_wide_by_screen(page) == {}
+
+
+def scanned(*rms_mm: float | None) -> Progress:
+    """Return a scan after as many looks, with the error at a target after each."""
+    scan = ScanProgress(
+        looks_done=len(rms_mm),
+        looks_planned=3,
+        covered_share=0.3 * len(rms_mm),
+        predicted_error_mm=rms_mm[-1],
+        expected=(ExpectedError(target="T1", rms_mm=rms_mm),),
+    )
+    return Progress(step="relocalization:T1", share=0.5, text="", scan=scan)
 
 
 def test_without_webgl_the_panels_work_and_the_scene_explains_why_it_is_empty(

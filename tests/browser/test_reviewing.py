@@ -22,6 +22,8 @@ from page_reading import (
 
 from ronna_hw.log_output import LOG_FILE
 
+COVERED = ".skinbox path[stroke='rgb(20,110,60)']"
+
 
 def test_a_finished_case_can_be_reviewed_back_to_its_first_event(
     page: Any, tmp_path: Path, alone: OperatedCase
@@ -59,3 +61,30 @@ def test_a_case_that_is_killed_while_it_is_reviewed_is_shown_as_ended(
         os.kill(case.process.pid, signal.SIGKILL)
         page.wait_for_selector("text=THE ENGINE HAS ENDED")
         page.wait_for_function("document.body.classList.contains('past')")
+
+
+@pytest.mark.slow  # a whole case
+def test_the_skin_is_drawn_with_what_a_scan_has_covered_while_it_runs_and_in_review(
+    start: OperatedCases, page: Any, tmp_path: Path
+) -> None:
+    case = start("run", "--json", "--fiducials", "surface", scene=("--scene", "mini", "--seed", "7"))
+    enter(page, case.addresses["viewer_url"] + "&low")
+    page.wait_for_function("document.querySelector('.skinbox img')?.naturalWidth > 0")
+    page.wait_for_selector("figure.live >> text=stereo head")
+    page.wait_for_selector(COVERED)
+    few = marked(page)
+    page.reload()
+    page.wait_for_selector(COVERED)
+    assert marked(page) >= few
+    assert case.ended() == 0
+    with reviewed(case.run, tmp_path / "review-errors") as address:
+        enter(page, address)
+        page.wait_for_selector(".skinbox >> text=12 of 12")
+        page.wait_for_function("document.querySelector('.skinbox img')?.naturalWidth > 0")
+        assert marked(page) > few
+        assert page.complaints == []
+
+
+def marked(page: Any) -> int:
+    """Return how many places of the skin are marked as covered."""
+    return sum(one.get_attribute("d").count("M") for one in page.locator(COVERED).all())
