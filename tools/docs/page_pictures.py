@@ -90,22 +90,19 @@ def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
     with operated_cases(place) as start:
         case = start("step", "--speed", SPEED)
         page = _open_page(browser)
-        enter(page, case.addresses["url"])
+        enter(page, case.addresses["url"] + "&low")  # it is drawn beside those that are taken
         await_next(page, "ct_import")
         yield from _take(page, out, "console-start")
         take_seat(page, "Dr Rehearsal")
         run_to(page, "registration:T1")
         answer_until(page, "then as listed")
-        moment = page.context.new_page()  # of the same session, hence of the same operator
-        moment.set_viewport_size({"width": WIDE[0], "height": WIDE[1]})
-        enter(moment, case.addresses["url"].partition("?")[0])
-        moment.evaluate(DRAWN)
+        moment = _open_beside(page)
         answer(page)
         moment.wait_for_function(HOLD_WHILE_RUNNING)
         yield from _take(moment, out, "console-running")
         moment.close()
         answer_until(page, "Accept the registration")
-        yield from _take(page, out, "console-question")
+        yield from _take(_open_beside(page), out, "console-question")
         page.context.close()
 
 
@@ -160,6 +157,15 @@ def _draw(page: Any) -> None:
 def _open_page(browser: Any) -> Any:
     width, height = WIDE
     return opened_context(browser, viewport={"width": width, "height": height}).new_page()
+
+
+def _open_beside(page: Any) -> Any:
+    """Open the same page with all its graphics, in the same session and hence for the same operator."""
+    beside = page.context.new_page()
+    beside.set_viewport_size({"width": WIDE[0], "height": WIDE[1]})
+    enter(beside, page.url.partition("?")[0])
+    beside.evaluate(DRAWN)
+    return beside
 
 
 def _take(page: Any, out: Path, moment: str, place: str = "body") -> Iterator[Path]:
