@@ -120,7 +120,11 @@ def choose_fiducials(
     plan_file: Annotated[Path, Argument(metavar="PLAN", help="Plan file with the trajectories.")],
     series_dir: Annotated[
         Path,
-        Argument(metavar="SERIES_DIR", help="CT series of the head and its face, without markers or with."),
+        Option(
+            "--ct",
+            metavar="SERIES_DIR",
+            help="CT series of the head and its face, without markers or with.",
+        ),
     ],
     seed: SpacingOption = 0,
     as_json: terminal.JsonOption = False,
