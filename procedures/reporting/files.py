@@ -88,7 +88,7 @@ def pose_columns(poses: Sequence[GuidePose]) -> list[dict[str, object]]:
 
 
 def clearance_columns(motions: Sequence[MotionRow]) -> list[dict[str, object]]:
-    """Return the clearance of each checked motion from the head and from other bodies."""
+    """Return the clearance of each checked motion from the head, and its two closest bodies of all."""
     return [
         {"start": one.start, "end": one.end, "kind": one.kind, "head_mm": one.head_mm}
         | {name: getattr(one.closest, name, None) for name in ("first", "second", "distance_mm", "at")}

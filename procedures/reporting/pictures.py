@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import ProposedMarkers
+from procedures.planning.pose_name import SPHERE
 from procedures.reporting.numbers import millimetres, seconds, tenths
 from procedures.reporting.run_statistics import Span
 from procedures.reporting.tables import MotionRow, TargetRow
 from procedures.steps.clinical.results import LinkHealth
+from procedures.strategies.skin_looks import SKIN
 from procedures.strategies.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -47,6 +49,7 @@ OURS, PREDICTED, PUBLISHED, CAMPAIGN = BLUE, GREY, GREY, GREEN
 TARGET_ROW, TARGET_BAR, HEADING_ROW = 31.0, 12.0, 24.0
 # Clearance of the motions
 HEAD, OTHER = BLUE, GREEN
+LOOK = "look"  # at the skin, where a trajectory has a sphere
 MOTION_ROW, MOTION_BAR = 40.0, 10.0
 LONGEST_MM = 200.0  # a longer bar carries no information
 # Timeline
@@ -157,14 +160,14 @@ def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
 
 
 def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
-    """Draw the clearances of each motion as two bars, in mm."""
+    """Draw to each motion its clearance to the head, and that of the two closest bodies if it is none of them."""
     canvas = Canvas(MOTION_ROW * len(motions) + 4, f"Clearance of the motions of {trajectory}, mm")
     scale = (WIDTH - VALUE_ROOM) / LONGEST_MM
     for number, one in enumerate(motions):
         top = MOTION_ROW * number
         pair = "" if one.closest is None else f"  ({one.closest.first} – {one.closest.second})"
         canvas.text(0, top + 11, _motion_name(one) + pair)
-        bars = [(one.head_mm, HEAD), (None if one.closest is None else one.closest.distance_mm, OTHER)]
+        bars = [(one.head_mm, HEAD), (None if one.closest is None or one.is_nearest_to_head else one.closest.distance_mm, OTHER)]
         for place, (value_mm, colour) in enumerate(bars):
             if value_mm is not None:
                 length = scale * min(value_mm, LONGEST_MM)
@@ -174,10 +177,9 @@ def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
 
 
 def _motion_name(one: MotionRow) -> str:
-    """Describe a motion in words, counting spheres from 1."""
-    if one.start == one.end:
-        return f"{one.end.words()}, along the axis"
-    return f"{one.start.words()} → {one.end.words()}"
+    """Describe a motion in words, counting spheres and looks from 1."""
+    start, end = (at.words(LOOK if at.trajectory == SKIN else SPHERE) for at in (one.start, one.end))
+    return f"{end}, along the axis" if one.start == one.end else f"{start} → {end}"
 
 
 def timeline_figure(

@@ -164,9 +164,8 @@ def _read_page(
 def _write_drawings(files: ReportFiles, page: Page) -> None:
     """Write each drawing and its data to files."""
     if page.plan is not None:
-        motions = {row.name: row.motions for row in page.plan.rows}
-        for name, svg in page.plan.clearances:
-            files.drawing(f"clearance-{name}", svg, clearance_columns(motions[name]))
+        for one in page.plan.clearances:
+            files.drawing(f"clearance-{one.stem}", one.picture, clearance_columns(one.motions))
     if page.targets is not None:
         table = page.targets.table
         files.drawing("targets", page.targets.picture, target_columns(table.rows))

@@ -17,6 +17,8 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import Prediction
 from procedures.steps.clinical.target_measurement import MeasuredTarget
 from procedures.strategies.pose_values import PoseValues
+from procedures.strategies.skin_looks import SKIN
+from ronna_hw.collision_config import HEAD
 
 
 @dataclass(frozen=True)
@@ -134,13 +136,18 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
 
 @dataclass(frozen=True)
 class MotionRow:
-    """Checked motion: end points, and clearance to the head and to any other body."""
+    """Checked motion: end points, clearance to the head, and the two closest bodies of all."""
 
     start: PoseName
     end: PoseName
     kind: str
     head_mm: float | None
     closest: ClosestApproach | None
+
+    @property
+    def is_nearest_to_head(self) -> bool:
+        """Whether the head is one of the two closest bodies: all others are further apart then."""
+        return self.closest is not None and HEAD in (self.closest.first, self.closest.second)
 
 
 @dataclass(frozen=True)
@@ -188,7 +195,7 @@ def plan_rows(reading: RunReading) -> tuple[PlanRow, ...]:
             planned_angle_deg=one.free_angle_deg,
             turn_deg=_turn_deg(paths, one.id),
             strategy=strategies.get(one.id),
-            motions=() if paths is None else _motion_rows(paths.motions, one.id),
+            motions=() if paths is None else _list_motions(paths.motions, one.id),
         )
         for one in checked.plan.trajectories
     )
@@ -199,7 +206,13 @@ def _turn_deg(paths: CheckedPaths | None, trajectory: str) -> float | None:
     return None if turn_rad is None else math.degrees(turn_rad)
 
 
-def _motion_rows(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
+def list_skin_motions(reading: RunReading) -> tuple[MotionRow, ...]:
+    """Return the motions of the scan of the skin, which belong to no trajectory; none in a case without."""
+    paths = reading.find(CheckedPaths)
+    return () if paths is None else _list_motions(paths.motions, SKIN)
+
+
+def _list_motions(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
     """Return the motions of a trajectory in order, without retraced lines, which have the same clearance."""
     return tuple(
         MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)

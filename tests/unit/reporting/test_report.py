@@ -59,6 +59,7 @@ from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, 
 from procedures.steps.clinical.results import LeftOutSphere, RegisteredRobot
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.pose_values import PoseValues
+from procedures.strategies.skin_looks import SKIN
 from procedures.workcell import MountedTool
 from ronna_hw import load_run
 from ronna_hw.frames import Frame, Transform
@@ -430,6 +431,7 @@ def finish(cell: ClinicalCell, reached: ReachedTarget) -> None:
 
 def test_the_plan_has_its_clearance_and_its_turn_about_the_axis(cell: ClinicalCell) -> None:
     near = ClosestApproach(first="tube of the guide", second="fiducial", distance_mm=16.24, at=1.0)
+    at_head = ClosestApproach(first="end of the stereo head", second="head", distance_mm=63.71, at=0.5)
     motions = tuple(
         MotionPreview(
             start=start,
@@ -447,6 +449,7 @@ def test_the_plan_has_its_clearance_and_its_turn_about_the_axis(cell: ClinicalCe
             (f"{FIRST}/target", f"{FIRST}/target", "line", near, 18.29),
             (f"{FIRST}/target", f"{FIRST}/target", "back", near, 18.29),
             ("home", "other/target", "move", near, 1.0),
+            ("home", f"{SKIN}/fiducial 0", "move", at_head, 63.71),
         )
     )
     cell.carrying(MountedTool.STEREO_HEAD)
@@ -463,6 +466,9 @@ def test_the_plan_has_its_clearance_and_its_turn_about_the_axis(cell: ClinicalCe
     assert "target, along the axis  (tube of the guide – fiducial)" in picture
     lines = (cell.folder / "report" / f"clearance-{FIRST}.csv").read_text().splitlines()
     assert len(lines) == 1 + 2
+    over_skin = (cell.folder / "report" / "clearance-+skin.svg").read_text()
+    assert "home → look 1  (end of the stereo head – head)" in over_skin
+    assert over_skin.count("63.7 mm") == 1  # the head is not shown as a second body beside itself
 
 
 def test_a_target_keeps_the_strategy_it_was_last_planned_with(
