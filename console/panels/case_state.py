@@ -6,6 +6,7 @@ from itertools import groupby
 
 from console.panels.html import head_row, table_of, tag, text
 from procedures.engine.case_view import CaseView, DeviceRow, Rate, StepRow
+from ronna_hw.text import format_count
 
 OPENING, HARDWARE = "OPENING", "HARDWARE: A REAL ROBOT MOVES"
 MARKS = {  # a symbol per state, so that nothing is conveyed by colour alone
@@ -122,7 +123,9 @@ def chart(view: CaseView) -> str:
     for phase, rows in groupby(view.steps, key=lambda row: row.phase):
         steps = list(rows)
         done = all(row.state == "done" for row in steps)
-        words = f"{phase.capitalize()}: {len(steps)} steps done" if done else phase.capitalize()
+        words = (
+            f"{phase.capitalize()}: {format_count(len(steps), 'step')} done" if done else phase.capitalize()
+        )
         body = tag("summary", text(words))
         body += tag(
             "ol", "".join(_render_step(view, row, with_summary=finished or row is latest) for row in steps)

@@ -23,6 +23,7 @@ from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import VERBOSE_FLAG, require_new
+from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
@@ -149,7 +150,7 @@ def _print_trajectories(result: PlanCheck, head: HeadEllipsoid, bore: GuideBore 
         rows.append([*line, f"{result.plan.standoff_mm:g}", stop, *limits])
     headings = ["trajectory", "side", "entry LPS mm", "target LPS mm", "depth mm"]
     headings += ["stand-off mm", "depth stop mm", "free angle deg", "margin mm"]
-    title = f"plan accepted: {result.plan.implanted} fiducials, tool {result.plan.tool}"
+    title = f"plan accepted: {format_count(result.plan.implanted, 'fiducial')}, tool {result.plan.tool}"
     terminal.print_table(title, headings, rows)
 
 
@@ -201,7 +202,7 @@ def new(
     assert centres_mm is not None, "it has raised"
     text = compose_plan(volume.series_instance_uid, volume.patient_position, centres_mm, series_dir.name)
     write_atomically(out, text.encode(), exclusive=True)
-    terminal.say(f"{out}: {len(centres_mm)} spheres; add the trajectories")
+    terminal.say(f"{out}: {format_count(len(centres_mm), 'sphere')}; add the trajectories")
     case = series_dir.resolve().parent
     if series_dir.resolve().name == CT_FOLDER and out.resolve() != case / PLAN_FILE:
         terminal.say(

@@ -12,6 +12,7 @@ from procedures.exchange.line_order import LineOrder
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import require_new
+from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
     from procedures.exchange.markup_lines import MarkupLine
@@ -154,7 +155,7 @@ def to_markups(
     ct = CtIdentity(header.series_instance_uid, header.frame_of_reference_uid, header.study_instance_uid)
     lines = [planned_line(one.id, one) for one in plan.trajectories]
     write_atomically(out, format_lines(lines, ct, PLANNED).encode(), exclusive=True)
-    terminal.say(f"{out}: {len(lines)} lines; in 3D Slicer load the CT, then this file")
+    terminal.say(f"{out}: {format_count(len(lines), 'line')}; in 3D Slicer load the CT, then this file")
 
 
 def _describe(
@@ -178,5 +179,8 @@ def _tell_sides(result: PlanCheck, head: HeadEllipsoid, out: Path, series_dir: P
         terminal.say(f"{one.id}: {side}, {one.depth_mm:.1f} mm deep{fused}")
     if result.only_side_tells:
         terminal.tell(planning_inputs.ONLY_THE_SIDE_TELLS)
-    terminal.say(f"{out}: {len(result.plan.trajectories)} trajectories, {result.plan.implanted} spheres")
+    terminal.say(
+        f"{out}: {format_count(len(result.plan.trajectories), 'trajectory', 'trajectories')}, "
+        f"{format_count(result.plan.implanted, 'sphere')}"
+    )
     terminal.say(f"then: ronna-plan open {series_dir} --plan {out}")

@@ -35,6 +35,7 @@ from procedures.imaging.scan_deformation import combine_spheres
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arguments import require_numbers, show
 from ronna_hw.arrays import Array
+from ronna_hw.text import format_count
 
 VOXELS_PER_RADIUS = 5.75  # a 1 mm grid for the usual 11.5 mm sphere
 CLIP_HU = (-1000.0, 300.0)  # air to dense polymer
@@ -244,7 +245,7 @@ def require_count(
         )
     if expected is not None and found != expected:
         raise MarkerCountWrong(
-            f"{found} marker{'s' if found != 1 else ''} found, {expected} expected", candidates=candidates
+            f"{format_count(found, 'marker')} found, {expected} expected", candidates=candidates
         )
 
 

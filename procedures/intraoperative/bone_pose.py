@@ -30,6 +30,7 @@ from procedures.postoperative.bone_registration import (
 )
 from procedures.registration.rigid_fit import pose_jacobian
 from ronna_hw.arrays import Array
+from ronna_hw.text import format_count
 
 POINTS_OF_START = 1_500
 # Safety against a scan of another head (U).
@@ -93,7 +94,8 @@ def register_bone(
         points, values = _keep_clear(scan, *find_bone_points(moving, spacing_mm), spacing_mm)
         if len(points) < LEAST_POINTS:
             raise OTHER_HEAD(
-                "the scan shows too little bone", got=f"{len(points)} points at {spacing_mm:g} mm"
+                "the scan shows too little bone",
+                got=f"{format_count(len(points), 'point')} at {spacing_mm:g} mm",
             )
         splined = target.splined()
         if number == 0:

@@ -20,6 +20,7 @@ from procedures.registration.matching import MOST_POINTS, match, validate_prior,
 from procedures.registration.pairings import as_hypothesis, evaluate
 from procedures.registration.points import require_enough, validate_points
 from ronna_hw.arrays import Array
+from ronna_hw.text import format_count
 
 Sigma = float | Sequence[float] | Array
 
@@ -146,7 +147,7 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
             if is_ambiguous
             else "the scan does not show the whole layout",
             expected=f"all {len(layout)} spheres of the layout, up to {_width_mm(layout):.1f} mm apart",
-            got=f"{len(spheres)} spheres, up to {_width_mm(spheres):.1f} mm apart",
+            got=f"{format_count(len(spheres), 'sphere')}, up to {_width_mm(spheres):.1f} mm apart",
         )
     order = found.pairs[np.argsort(found.pairs[:, 0]), 1]
     residuals_mm = np.linalg.norm(found.transform.apply(layout) - spheres[order], axis=1)

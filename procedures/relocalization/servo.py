@@ -18,6 +18,7 @@ from procedures.relocalization.errors import BAD_MEASUREMENT, SERVO_DIVERGES, SE
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arrays import Array
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
+from ronna_hw.text import format_count
 from ronna_hw.vectors import Vector3, vector3
 
 KR6_SCATTER_MM = find_arm("kr6_r900_sixx").repeatability_mm
@@ -92,7 +93,7 @@ class ServoState:
         state._require_trend()
         if state.step_count >= self.settings.steps:
             raise SERVO_EXHAUSTED(
-                f"the servo has not converged after {state.step_count} steps",
+                f"the servo has not converged after {format_count(state.step_count, 'step')}",
                 expected=f"a residual of at most {self.settings.tolerance_mm} mm",
                 got=f"{length:.3f} mm",
             )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from procedures.reporting import numbers
-from ronna_hw.text import escape_controls
+from ronna_hw.text import escape_controls, format_count
 
 if TYPE_CHECKING:
     import jinja2
@@ -45,6 +45,7 @@ def _environment() -> jinja2.Environment:
         finalize=_without_controls,
     )
     environment.filters.update(
+        count_of=format_count,
         css_text=_css_text,
         mm=numbers.millimetres,
         point=numbers.point,

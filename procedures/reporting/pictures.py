@@ -160,14 +160,17 @@ def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
 
 
 def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
-    """Draw to each motion its clearance to the head, and that of the two closest bodies if it is none of them."""
+    """Draw two bars for each motion, in mm: to the head, and between the closest bodies if it is not one."""
     canvas = Canvas(MOTION_ROW * len(motions) + 4, f"Clearance of the motions of {trajectory}, mm")
     scale = (WIDTH - VALUE_ROOM) / LONGEST_MM
     for number, one in enumerate(motions):
         top = MOTION_ROW * number
         pair = "" if one.closest is None else f"  ({one.closest.first} – {one.closest.second})"
         canvas.text(0, top + 11, _motion_name(one) + pair)
-        bars = [(one.head_mm, HEAD), (None if one.closest is None or one.is_nearest_to_head else one.closest.distance_mm, OTHER)]
+        bars = [
+            (one.head_mm, HEAD),
+            (None if one.closest is None or one.is_nearest_to_head else one.closest.distance_mm, OTHER),
+        ]
         for place, (value_mm, colour) in enumerate(bars):
             if value_mm is not None:
                 length = scale * min(value_mm, LONGEST_MM)

@@ -24,6 +24,7 @@ from ronna_hw.arrays import Array
 from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.errors import LimitError, RonnaError, is_error
 from ronna_hw.frames import Transform
+from ronna_hw.text import format_count
 from ronna_hw.vectors import JointVector
 
 if TYPE_CHECKING:
@@ -224,7 +225,8 @@ def search_poses(
         except SphereNotInView as error:
             if not skipped_count:
                 raise
-            what = f"no sphere in {number - skipped_count} image pairs, {skipped_count} poses not clear"
+            what = f"no sphere in {format_count(number - skipped_count, 'image pair')}, "
+            what += f"{format_count(skipped_count, 'pose')} not clear"
             raise SphereNotInView(what, limit=error.limit) from error
         if refusal(partial(settle, pose), arm) is None:
             yield pose

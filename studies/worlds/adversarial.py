@@ -12,6 +12,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain_until_break, theatre_time_s
 from ronna_hw.host.child_process import await_end, command, run_command, start_command
 from ronna_hw.records import write_atomically
+from ronna_hw.text import format_count
 from studies.campaign.study import Cell, Sums, Table, Unit
 from studies.worlds.adversary import RELOCALIZATION, AdversarialWorld, draw_adversarial_world
 from studies.worlds.cases import (
@@ -76,8 +77,8 @@ class AdversarialStudy(CasesStudy):
             round(sum(one[name] for one in judged.values())) for name in ("targets", "beyond", "happened")
         )
         note = (
-            f"{len(judged)} cases, {happened} that came as far as their change; {targets} targets reached, "
-            f"{beyond} beyond their 95 % limit, told or not."
+            f"{format_count(len(judged), 'case')}, {happened} that came as far as their change; {targets} "
+            f"targets reached, {beyond} beyond their 95 % limit, told or not."
         )
         noticed = ("refused or in doubt", _count_noticed(judged.values()))
         verdicts = self.tabulate_verdicts(judged.values(), note, noticed)
@@ -129,9 +130,13 @@ class AdversarialStudy(CasesStudy):
     def list_missed_goals(self, sums: Mapping[str, Sums]) -> list[str]:
         counts, missed = count_verdicts(Silence, sums.values()), []
         if counts[Silence.SILENT]:
-            missed.append(f"{counts[Silence.SILENT]} cases beyond twice their stated rms without a word")
+            missed.append(
+                f"{format_count(counts[Silence.SILENT], 'case')} beyond twice their stated rms without a word"
+            )
         if counts[Silence.BROKEN]:
-            missed.append(f"{counts[Silence.BROKEN]} cases broke off without an error of the procedure")
+            missed.append(
+                f"{format_count(counts[Silence.BROKEN], 'case')} broke off without an error of the procedure"
+            )
         if self.quiet and (noticed := _count_noticed(sums.values())):
             missed.append(f"{noticed} undisturbed cases refused or in doubt")
         beyond, targets = (sum(one[name] for one in sums.values()) for name in ("beyond", "targets"))

@@ -11,6 +11,7 @@ from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain_until_break
 from ronna_hw.host.child_process import command, run_command
 from ronna_hw.records import write_atomically
+from ronna_hw.text import format_count
 from studies.campaign.study import Cell, Sums, Table, Unit
 from studies.worlds.cases import (
     LIMIT_S,
@@ -79,7 +80,7 @@ class WorldsStudy(CasesStudy):
     def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
         judged = {number_of(key): one for key, one in sums.items()}
         happened = round(sum(one["happened"] for one in judged.values()))
-        note = f"{len(judged)} cases, {happened} with a change that was reached."
+        note = f"{format_count(len(judged), 'case')}, {happened} with a change that was reached."
         order = sorted(judged, key=lambda number: _badness(judged[number]), reverse=True)
         worst = Table(
             "Worst cases",
@@ -126,12 +127,14 @@ class WorldsStudy(CasesStudy):
                 )
             if counts[WorldVerdict.SILENT2]:
                 count = counts[WorldVerdict.SILENT2]
-                missed.append(f"{count} cases beyond twice a limit unseen: expected none")
+                missed.append(f"{format_count(count, 'case')} beyond twice a limit unseen: expected none")
             if counts[WorldVerdict.FALSE_FINDING]:
                 count = counts[WorldVerdict.FALSE_FINDING]
-                missed.append(f"{count} findings before any change: expected none")
+                missed.append(f"{format_count(count, 'finding')} before any change: expected none")
         if counts[WorldVerdict.NO_VERDICT]:
-            missed.append(f"{counts[WorldVerdict.NO_VERDICT]} cases broke off without a verdict")
+            missed.append(
+                f"{format_count(counts[WorldVerdict.NO_VERDICT], 'case')} broke off without a verdict"
+            )
         return missed
 
 

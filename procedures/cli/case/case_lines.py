@@ -11,6 +11,7 @@ from procedures.engine.events import Advisory, Event, StepState
 from procedures.engine.events.stream import LAST_LINES
 from procedures.engine.states import HELD
 from procedures.runs.observers import SEAT_AWAITED
+from ronna_hw.text import format_count
 
 LAST_ERRORS = 2
 STARTING = "starting"
@@ -97,7 +98,8 @@ def describe_state(state: str, reason: str) -> str:
 
 def describe_loss(count: int) -> str:
     """Describe how many signals a follower has missed."""
-    return f"{count} poses and other signals are not in the file of events; no fact is missing"
+    missed = format_count(count, "pose or other signal", "poses and other signals")
+    return f"not in the file of events: {missed}; no fact is missing"
 
 
 def describe_activity(view: CaseView) -> str:

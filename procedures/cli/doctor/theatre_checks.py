@@ -23,6 +23,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import require_open_files
 from ronna_hw.mistakes import suggest_keys
 from ronna_hw.roles import ASSISTANT, MASTER
+from ronna_hw.text import format_count
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 CASE_OPEN_FILES = 96  # as a case requires
@@ -165,7 +166,7 @@ def _own_packages() -> Diagnostic:
     from ronna_hw.host.own_packages import find_replaced_files
 
     if replaced := find_replaced_files():
-        what = f"{len(replaced)} files replaced or missing, such as {replaced[0]}"
+        what = f"{format_count(len(replaced), 'file')} replaced or missing, such as {replaced[0]}"
         advice = "Install ronna-hw again, in a virtual environment of its own."
         return Diagnostic("packages", False, what, advice)
     return Diagnostic("packages", True, "none foreign")

@@ -14,6 +14,7 @@ from ronna_hw.devices.probing import Finder, Proposal, Search
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.host.network import Interface, interfaces
 from ronna_hw.roles import ASSISTANT
+from ronna_hw.text import format_count
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 A = TypeVar("A")
@@ -139,7 +140,9 @@ class Mistakes:
             f"({number}) {one.what}" + (f", expected {one.expected}" if one.expected else "")
             for number, one in enumerate(self._found, start=1)
         )
-        raise UsageMistake(f"{len(self._found)} mistakes: {every}", action="Correct them all.")
+        raise UsageMistake(
+            f"{format_count(len(self._found), 'mistake')}: {every}", action="Correct them all."
+        )
 
 
 def example_tables(finders: Iterable[Finder], search: Search) -> tuple[DeviceTable, ...]:

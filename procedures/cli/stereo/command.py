@@ -12,6 +12,7 @@ import typer
 from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions, require_finite_ball
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import with_option_records
+from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
     from procedures.engine.case import Case
@@ -178,7 +179,7 @@ def _check_line(measured: LineRecord, file: Path) -> None:
     from procedures.relocalization.light_plane import LineRecord
     from ronna_hw.records import write_atomically
 
-    pairs = f"laser line in {measured.lines} pair{'s' if measured.lines > 1 else ''} of pictures"
+    pairs = f"laser line in {format_count(measured.lines, 'pair')} of pictures"
     if not file.exists():
         write_atomically(file, measured.model_dump_json(indent=1).encode())
         terminal.tell(f"{pairs}: width {measured.width_mm:.3f} mm, plane recorded in {file}")
@@ -201,7 +202,7 @@ def _print_check(figures: HeadCheckFigures) -> None:
         rows.append([*test, "CHANGED" if sign.sounds else "unchanged"])
     headings = ["test", "change", "standard error", "chi-square", "limit", ""]
     repeatability = f"arm repeatability {1000 * figures.repeatability_mm:.0f} um per axis"
-    terminal.print_table(f"{figures.looks} measurements; {repeatability}", headings, rows)
+    terminal.print_table(f"{format_count(figures.looks, 'measurement')}; {repeatability}", headings, rows)
 
 
 def show_look(view: Look, *, as_json: bool) -> BallFigures:

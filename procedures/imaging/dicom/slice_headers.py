@@ -246,7 +246,7 @@ def _refuse_mixed(
         files[uid].append(path.name)
     if len(files) > 1:
         listed = (
-            f"{uid or '(none)'} in {len(names)} files, such as {min(names)}"
+            f"{uid or '(none)'} in {format_count(len(names), 'file')}, such as {min(names)}"
             for uid, names in sorted(files.items())
         )
         raise error(f"the folder holds {len(files)} {noun}: {'; '.join(listed)}")

@@ -23,7 +23,7 @@ from procedures.imaging.errors import (
 )
 from procedures.imaging.volume import VoxelGeometry
 from ronna_hw.arrays import Array
-from ronna_hw.text import format_against_limit
+from ronna_hw.text import format_against_limit, format_count
 
 GAPS_NAMED = 3  # in one message
 MIN_SLICES = 3  # fewer cannot show that the spacing is even
@@ -47,7 +47,9 @@ def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ..
     CT-025 (mirrored).
     """
     if len(slices) < MIN_SLICES:
-        raise SERIES_TOO_SHORT(f"the series has {len(slices)} slices", limit=f"at least {MIN_SLICES} slices")
+        raise SERIES_TOO_SHORT(
+            f"the series has {format_count(len(slices), 'slice')}", limit=f"at least {MIN_SLICES} slices"
+        )
     _refuse_different_sizes(slices)
     row_direction, column_direction = _average_directions(slices)
     normal = np.cross(row_direction, column_direction)
@@ -181,7 +183,7 @@ def _fit_even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float
         more = f" and in {len(gaps) - GAPS_NAMED} more places" if len(gaps) > GAPS_NAMED else ""
         total = int(missing[gaps].sum())
         raise SPACING_UNEVEN(
-            f"{total} slice{'s' if total > 1 else ''} missing between {', between '.join(names)}{more}",
+            f"{format_count(total, 'slice')} missing between {', between '.join(names)}{more}",
             expected=f"a slice every {usual_mm:.3f} mm",
             got=f"{steps_mm.max():.3f} mm",
         )

@@ -20,6 +20,7 @@ from procedures.registration.surface.settling import Pose, Settled, settle
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import thin_points
 from ronna_hw.arrays import Array
+from ronna_hw.text import format_count
 
 SEARCH_POINTS, SEARCH_SAMPLES = 80, 3000
 ORIENTATIONS = 400  # about 30 degrees apart
@@ -57,7 +58,7 @@ def find_pose(points_mm: Array, view_mm: Array, surface: Surface, same_head_mm: 
     settled = [settle(one, points, view, surface) for one in poses.split()]
     settled = sorted((one for one in settled if one.valid.mean() > 0.5), key=lambda one: one.capped_mm2)
     if not settled:
-        raise LITTLE_COVERAGE("no pose puts the scan on the head", got=f"{len(points)} points")
+        raise LITTLE_COVERAGE("no pose puts the scan on the head", got=format_count(len(points), "point"))
     first = settled[0]
     for other in settled[1:]:
         turn, place = difference(first.pose, other.pose, points.mean(axis=0))

@@ -21,6 +21,7 @@ from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.surface import LEVEL_SD_MM
 from procedures.registration.surface.thinning import thin_points
 from ronna_hw.arrays import Array
+from ronna_hw.text import format_count
 
 USUAL_SIZES = {0.1: 0.2, 0.2: 0.4, 0.4: 0.4}  # mm, and how often: 0.3 mm rms of skin that nothing pressed (U)
 USUAL_LENGTHS_MM = {Roughness.ROUGH: 40.0, Roughness.SMOOTH: 20.0}
@@ -138,7 +139,9 @@ class ExpectedPose:
     ) -> Self:
         """Expect the pose by points (n, 3) with outward normals, as `expect_error`. Raises SRF-002."""
         if len(points) < FEWEST_POINTS:
-            raise LITTLE_COVERAGE(f"{len(points)} points of the surface", limit=f"{FEWEST_POINTS}")
+            raise LITTLE_COVERAGE(
+                f"{format_count(len(points), 'point')} of the surface", limit=f"{FEWEST_POINTS}"
+            )
         centre, misfits = points.mean(axis=0), misfits or USUAL
         shared = np.zeros((len(points), 0)) if shared_mm is None else shared_mm
         noise_mm2, level_mm = np.full(len(points), noise_mm**2), np.full((len(points), 1), LEVEL_SD_MM)

@@ -28,6 +28,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell.ball_watcher import BallWatcher
 from procedures.workcell.stereo_look import Look, pair_picture
 from ronna_hw.calibration import Numbers3, StereoHeadCalibration
+from ronna_hw.text import format_count
 
 
 class BallMeasurement(StepResult, kind="ball_look"):
@@ -127,7 +128,9 @@ def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[Obse
         tool_tip=calibrations.tool_tip,
         observations=tuple(seen),
     )
-    return Outcome(ObservedBall(observed=observed, remarks=tuple(remarks)), f"{len(seen)} measurements")
+    return Outcome(
+        ObservedBall(observed=observed, remarks=tuple(remarks)), format_count(len(seen), "measurement")
+    )
 
 
 def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
@@ -202,7 +205,8 @@ def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Ou
     if not seen:
         raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
     return Outcome(
-        VisitedBaseline(calibration=head.identifier, looks=tuple(seen)), f"{len(seen)} measurements"
+        VisitedBaseline(calibration=head.identifier, looks=tuple(seen)),
+        format_count(len(seen), "measurement"),
     )
 
 

@@ -29,6 +29,7 @@ from ronna_hw.arrays import Array
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
+from ronna_hw.text import format_count
 from ronna_hw.vectors import JointVector
 
 MOST_SPHERES = 6  # more add travel and little information
@@ -75,9 +76,9 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
     ]
     context.confirm(
         Topic.CALIBRATION,
-        f"The arm will measure {len(planned)} spheres from {len(plan)} poses around them. Nobody and "
-        "nothing else may be within its reach",
-        f"{len(plan)} measurements",
+        f"The arm will measure {format_count(len(planned), 'sphere')} "
+        f"from {format_count(len(plan), 'pose')}. Nobody and nothing else may be within its reach",
+        format_count(len(plan), "measurement"),
     )
     seen: list[SphereLook] = []
     for number in sorted(planned):
@@ -96,7 +97,9 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
         arm_record=workcell.calibrations.arm,
         looks=tuple(seen),
     )
-    return Outcome(ObservedSpheres(observed=observed, remarks=tuple(remarks)), f"{len(seen)} measurements")
+    return Outcome(
+        ObservedSpheres(observed=observed, remarks=tuple(remarks)), format_count(len(seen), "measurement")
+    )
 
 
 def _plan_looks(

@@ -35,6 +35,7 @@ from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import build_free_surroundings, build_stand
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text import format_count
 from ronna_hw.wire.room_tasks import DIALS, OnStand
 
 TILT_RAD = float(np.radians(25.0))
@@ -99,7 +100,9 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
         )
     left_out = watcher.rejected.total()
     remarks = (f"{left_out} measurements of the ball failed: {watcher.why_rejected()}",) if left_out else ()
-    return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} measurements")
+    return Outcome(
+        ObservedStand(looks=tuple(looks), remarks=remarks), format_count(len(looks), "measurement")
+    )
 
 
 def _looks_at_stand(place: BallPlace, workcell: Workcell, count: int) -> list[pose_set.PlannedLook]:
@@ -171,7 +174,9 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
         reading.take(look)
         context.progress((look + 1) / len(stand.looks), f"{look + 1} of {len(stand.looks)} dial readings")
     workcell.master.go_home()
-    return Outcome(TipReadings(observed=reading.observed), f"{len(reading.observed.readings)} readings")
+    return Outcome(
+        TipReadings(observed=reading.observed), format_count(len(reading.observed.readings), "reading")
+    )
 
 
 def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) -> tip_calibration.TipLooks:

@@ -35,6 +35,7 @@ from procedures.strategies.trajectory import refine_target_pose
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, arm_error_mm, backlash_mm2
 from ronna_hw.frames import Transform
+from ronna_hw.text import format_count
 from ronna_hw.vectors import JointVector
 
 REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
@@ -254,7 +255,11 @@ def two_way_table(table: TwoWayTable) -> Evidence:
         title="CT to room and room to CT"
         + ("" if table.agrees_both_ways else ": the two directions do NOT agree")
         + "".join(f"; sphere {one + 1} is not confirmed" for one in table.unmatched_ct)
-        + (f"; {len(table.unmatched_room)} readings match no sphere" if table.unmatched_room else ""),
+        + (
+            f"; {format_count(len(table.unmatched_room), 'reading')} without a sphere"
+            if table.unmatched_room
+            else ""
+        ),
         head=(
             "sphere",
             "CT estimates differ mm",

@@ -38,6 +38,7 @@ from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.arm.clearance.bodies import Obstacle
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
+from ronna_hw.text import format_count
 
 PICTURED_DOUBTFUL = 6  # the likeliest; more would hide the markers in the report
 SixVectors = Annotated[tuple[Numbers3, ...], Field(min_length=6, max_length=6)]
@@ -289,7 +290,7 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
             deformation=found.deformation,
             localizer=localizer,
         ),
-        summary=f"{len(found.markers)} spheres"
+        summary=format_count(len(found.markers), "sphere")
         + (f"; doubtful, not taken: {len(found.doubtful)}" if found.doubtful else "")
         + ("" if described.is_clinical else f"; by {localizer}: {NOT_CLINICAL}"),
     )

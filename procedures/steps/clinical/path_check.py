@@ -45,6 +45,7 @@ from ronna_hw.arm.pose import radians6
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.roles import MASTER
+from ronna_hw.text import format_count
 from ronna_hw.vectors import JointVector
 
 
@@ -278,7 +279,7 @@ def check_all_paths(context: StepContext, setting: ArmSetting) -> Outcome[Checke
             targets=_build_targets(check, setting),
             left_out=search.left_out,
         ),
-        summary=f"{len(check.reached)} poses in one branch"
+        summary=f"{format_count(len(check.reached), 'pose')} in one branch"
         + _describe_closest(motions)
         + _describe_turns(turned)
         + "".join(f"; {name} by {strategy}" for name, strategy in (chosen | replaced).items())

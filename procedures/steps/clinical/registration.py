@@ -59,7 +59,7 @@ from procedures.steps.clinical.sphere_pairs import Pairs, pairs_of
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Frame
-from ronna_hw.text import format_against_limit, format_distinct
+from ronna_hw.text import format_against_limit, format_count, format_distinct
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
@@ -144,8 +144,8 @@ def tell_learned(learned: LearnedArm | None, target: str) -> str:
         else f": {learned.share:.0%} of their stated size, at most {LARGEST_SHARE:.0%}"
     )
     return (
-        f"{learned.looks} looks also estimate the arm's errors{size}; for them it is sent {sent_mm:.2f} mm "
-        f"beside the target's place, at most {most_mm:.2f} mm"
+        f"by {format_count(learned.looks, 'look')} the arm's errors are estimated as well{size}; for them it "
+        f"is sent {sent_mm:.2f} mm beside the target's place, at most {most_mm:.2f} mm"
     )
 
 

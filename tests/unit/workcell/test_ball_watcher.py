@@ -96,7 +96,7 @@ def test_a_search_for_a_ball_passes_over_poses_that_are_not_clear_and_still_says
     cell: RecordingCell, watcher: BallWatcher
 ) -> None:
     refuse(cell, 5, 8)  # of the second pose around, neither straight nor by way of home
-    with pytest.raises(SphereNotInView, match="STE-009: no sphere in 35 image pairs, 1 poses not clear"):
+    with pytest.raises(SphereNotInView, match="STE-009: no sphere in 35 image pairs, 1 pose not clear"):
         watcher.find(PLACE.first_look)
 
 

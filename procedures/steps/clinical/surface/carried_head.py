@@ -32,6 +32,7 @@ from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
+from ronna_hw.text import format_count
 
 # Of the former registration: the arm errs alike at its looks and at a target only if neither went far.
 # Safety against a carried registration whose predicted error no longer holds (U).
@@ -138,8 +139,9 @@ def register_carried(context: StepContext) -> Outcome[RegisteredBySurface]:
                 f"Accept the registration on the skin for {predicted.target}, as carried by the clamp?",
                 f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
                 f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
-                f"{against[0].caution}\n{len(scanned.looks_taken)} looks at skin that was scanned before "
-                f"confirm it\nnot included: {predicted.excluded}",
+                f"{against[0].caution}\nconfirmed by "
+                f"{format_count(len(scanned.looks_taken), 'look')} at skin that was scanned before"
+                f"\nnot included: {predicted.excluded}",
                 trajectory=predicted.target,
                 predicted=against,
             )

@@ -143,7 +143,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
                 theatre_s=sum(one.theatre_s for one in looked),
             ),
         ),
-        summary=f"found by {format_count(shown, 'look')}, {len(lines)} lines, "
+        summary=f"found by {format_count(shown, 'look')}, {format_count(len(lines), 'line')}, "
         f"{tell_coverage(found.coverage)}, {place_mm:.0f} mm and {np.degrees(turn_rad):.0f} deg from where "
         f"it was measured{tell_site(site)}",
     )

@@ -111,4 +111,4 @@ def test_the_summary_marks_a_localizer_of_the_thesis(cell: ClinicalCell, importe
     reader = engine.events.subscribe()
     engine.run_to()
     said = [one.what.summary for one in reader.read(0.0).events if isinstance(one.what, StepState)]
-    assert said[-1] == "1 spheres; by thesis-sphere: not for clinical use"
+    assert said[-1] == "1 sphere; by thesis-sphere: not for clinical use"
