@@ -24,8 +24,8 @@ POORLY_DETERMINED = ErrorCode(
     "SRF-003",
     RefusedError,
     "The scan does not determine a target as well as the case requires.",
-    "Turn the head so that more of it is scanned, and run the step again; or begin a new run with one to "
-    "three screws (`mixed`), or with spheres.",
+    "Turn the head so that more of it is scanned, and run the step again; or begin a new run with more "
+    "screws than now: up to three beside the skin (`mixed`), or spheres alone.",
 )
 
 
@@ -34,7 +34,7 @@ TWO_POSES = ErrorCode(
     RefusedError,
     "The scan fits the head in more than one pose.",
     "Touch nose and ears again, and scan again with nose, brows and ears in view; or begin a new run with "
-    "one to three screws (`mixed`), or with spheres.",
+    "more screws than now: up to three beside the skin (`mixed`), or spheres alone.",
 )
 
 
@@ -67,8 +67,8 @@ SKIN_CHANGED = ErrorCode(
     "SRF-008",
     RefusedError,
     "The skin is not where it was in the CT over a large part of the scan.",
-    "Take off what presses on the skin, and scan again; or begin a new run with one to three screws "
-    "(`mixed`), or with spheres.",
+    "Take off what presses on the skin, and scan again; or begin a new run with more screws than now: up "
+    "to three beside the skin (`mixed`), or spheres alone.",
 )
 
 
