@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from ronna_hw.frames import Frame, Transform
 from sim.world.head_surface.regions import Region, regions
@@ -29,7 +30,7 @@ from studies.surface.export import export_study
 from studies.surface.heads import draw_head
 from studies.surface.kinds import Kinds
 from studies.surface.outcomes import Outcome, read_outcomes, share_within
-from studies.surface.scanning import Trial, draw_trial
+from studies.surface.scanning import Trial, _draw_start, draw_trial
 from studies.surface.second_judged_skins import BLUR_RATIOS, draw_blur
 from studies.surface.skins import displace, shift_third
 from studies.surface.study import SurfaceStudy, draw_unit
@@ -288,7 +289,21 @@ def test_an_exported_scan_lies_on_its_head_by_the_exported_truth(tmp_path: Path)
     assert np.median(np.abs(draw_head(SEED, 0).head.distance_mm(points))) < truths[name]["noise_mm"]
     assert cases[name]["head"] == "head-0000"
     assert "robot_from_ct" not in cases[name]
-    assert (tmp_path / "README.md").read_text().startswith("# Scans of heads")
+    read_me = (tmp_path / "README.md").read_text()
+    assert read_me.startswith("# Scans of heads")
+    assert {"view_x", "view_y", "view_z"} <= rows.dtype.fields.keys()
+    assert "400 mm from the place (0, 0, -30) of the CT" in " ".join(read_me.split())
+    assert "1% are displaced along the ray" in read_me
+
+
+def test_a_start_errs_as_a_whole_by_what_it_states_for_itself() -> None:
+    truth = Transform(Frame.ROBOT, Frame.CT, RigidTransform.identity())
+    random = np.random.default_rng(SEED)
+    starts = [_draw_start(truth, random) for _ in range(2000)]
+    away_mm = [np.linalg.norm(one.robot_from_ct.translation_mm) for one in starts]
+    turns_rad = [one.robot_from_ct.rigid.rotation.magnitude() for one in starts]
+    assert np.sqrt(np.mean(np.square(away_mm))) == pytest.approx(starts[0].place_mm, rel=0.05)
+    assert np.sqrt(np.mean(np.square(turns_rad))) == pytest.approx(starts[0].turn_rad, rel=0.05)
 
 
 def test_shifted_skin_is_a_condition_of_its_own() -> None:
