@@ -46,6 +46,10 @@ LARGEST_LIMIT_MM = 1.0
 TURN_SD_RAD, PLACE_SD_MM = math.radians(0.5), 1.0  # of a frame on the clamp, at the head (U)
 LOOK_MM = 0.1  # per axis, of a look by a calibrated arm (U)
 CARRYING = "head carried by its clamp"  # source of error
+BESIDE_SPHERES = (
+    "beside spheres the clamp carries no registration, since a few looks at the skin do not confirm where "
+    "the spheres are"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,27 +68,48 @@ def find_carried(context: StepContext) -> CarriedHead | None:
 
     It cannot for a head with spheres, after a large move, and once a few looks have contradicted it.
     """
+    judged = _judge_former(context)
+    return judged if isinstance(judged, CarriedHead) else None
+
+
+def tell_whole_scan(context: StepContext) -> None:
+    """Record as a finding why a head that was registered before is scanned as a whole again."""
+    reason = _judge_former(context)
+    if isinstance(reason, str) and reason:
+        context.find(f"the whole skin is scanned again, and not a few places: {reason}")
+
+
+def _judge_former(context: StepContext) -> CarriedHead | str:
+    """Return the carried registration, or why there is none; '' without a former one."""
     now, skin = context.result(GlobalLocalization), context.result(SkinInCt)
     registered = context.former(RegisteredBySurface)
     whole = [one for one in registered if not one.result.carried]
-    if skin.markers or not whole:
-        return None
+    if not whole:
+        return ""
+    if skin.markers:
+        return BESIDE_SPHERES
     last = whole[-1]
     carried = [one.record for one in registered if one.result.carried]
     for start in context.former(SurfaceStart):
         is_confirmed = any(start.record.identifier in one.parents for one in carried)
         if start.result.carried == last.record.identifier and not is_confirmed:
-            return None
+            return "a few looks contradicted what the clamp had carried"
     then = context.former_ancestor(last.record, GlobalLocalization).result
     same_ct = context.former_ancestor(last.record, SkinInCt).record.identifier == context.identifier(SkinInCt)
-    if not same_ct or then.tracker_from_patient is None or now.tracker_from_patient is None:
-        return None
+    if not same_ct:
+        return "the skin has been read from the CT anew since the last registration"
+    if then.tracker_from_patient is None or now.tracker_from_patient is None:
+        return "the tracker did not see the frame on the clamp both then and now"
     motion = _frame_of(now) @ _frame_of(then).inverse()
     pose = last.result.robot_from_ct.transform
     middle_mm = np.asarray(pose.apply(skin_of(context).points_mm)).mean(axis=0)
     way_mm = float(np.linalg.norm(motion.apply(middle_mm) - middle_mm))
-    if way_mm > MOST_CARRIED_MM or motion.rigid.rotation.magnitude() > MOST_CARRIED_RAD:
-        return None
+    turn_rad = motion.rigid.rotation.magnitude()
+    if way_mm > MOST_CARRIED_MM or turn_rad > MOST_CARRIED_RAD:
+        return (
+            f"the clamp has moved by {way_mm:.0f} mm and {math.degrees(turn_rad):.0f} deg, and carries a "
+            f"registration by at most {MOST_CARRIED_MM:g} mm and {math.degrees(MOST_CARRIED_RAD):.0f} deg"
+        )
     scanned = context.former_ancestor(last.record, ScannedSurface).result
     return CarriedHead(
         last.record.identifier, last.result, scanned.scan.placed(motion), motion @ pose, way_mm

@@ -13,7 +13,7 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
+from procedures.steps.clinical.surface.carried_head import find_carried, start_carried, tell_whole_scan
 from procedures.steps.clinical.surface.landmark_reading import (
     LandmarkReading,
     list_landmarks,
@@ -52,6 +52,7 @@ def run(context: StepContext) -> Outcome[MeasuredHead]:
         there = start_carried(carried).result.model_dump() | {"carried": None}
         summary = "the clamp has carried a registration: nothing is measured"
         return Outcome(MeasuredHead.model_validate(there), summary=summary)
+    tell_whole_scan(context)
     in_ct_mm, measured_mm = read_landmarks(context, BY_TAPE)
     start, off_mm = place_head(in_ct_mm, measured_mm, prior_with_clamp(context), BY_TAPE)
     return Outcome(

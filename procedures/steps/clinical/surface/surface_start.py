@@ -24,7 +24,7 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.surface.carried_head import find_carried, start_carried
+from procedures.steps.clinical.surface.carried_head import find_carried, start_carried, tell_whole_scan
 from procedures.steps.clinical.surface.landmark_reading import (
     BY_POINTER,
     list_landmarks,
@@ -57,6 +57,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     room, plan = context.result(GlobalLocalization), context.result(CheckedPlan)
     if (carried := find_carried(context)) is not None:
         return start_carried(carried)
+    tell_whole_scan(context)
     in_ct_mm, touched_mm = read_landmarks(context, BY_POINTER)
     localized, prior = context.result(SkinInCt), prior_with_clamp(context)
     start, off_mm = place_head(in_ct_mm, touched_mm, prior, BY_POINTER)

@@ -15,7 +15,12 @@ from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
 from procedures.steps.clinical.surface import carried_head
-from procedures.steps.clinical.surface.carried_head import CarriedHead, correct_carried, find_carried
+from procedures.steps.clinical.surface.carried_head import (
+    CarriedHead,
+    correct_carried,
+    find_carried,
+    tell_whole_scan,
+)
 from ronna_hw.frames import Frame, Transform
 
 TARGETS_MM = np.array([[-20.0, -20.0, -20.0], [0.0, 40.0, 0.0]])
@@ -111,6 +116,8 @@ class Before:
                 SimpleNamespace(record=SimpleNamespace(identifier="15-surface_start"), result=start)
             ],
         }
+        self.found = []
+        self.find = self.found.append
         self.result, self.former = self._now.__getitem__, self._former.__getitem__
 
     def former_ancestor(self, _record, model):
@@ -138,9 +145,27 @@ def test_the_scan_goes_with_the_frame_on_the_clamp(case):
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [{"way_mm": 60.0}, {"turn_rad": 0.3}, {"markers": ("sphere",)}, {"refused": True}],
+    ("changes", "why"),
+    [
+        ({"way_mm": 60.0}, "moved by 60 mm"),
+        ({"turn_rad": 0.3}, "and 17 deg, and carries a registration by at most 30 mm and 10 deg"),
+        ({"markers": ("sphere",)}, "beside spheres"),
+        ({"refused": True}, "contradicted"),
+    ],
     ids=["far", "turned", "spheres", "contradicted before"],
 )
-def test_else_the_whole_skin_is_scanned(case, changes):
-    assert find_carried(case(**changes)) is None
+def test_else_the_whole_skin_is_scanned_and_the_case_says_why(case, changes, why):
+    before = case(**changes)
+    assert find_carried(before) is None
+    tell_whole_scan(before)
+    (said,) = before.found
+    assert "the whole skin is scanned" in said
+    assert why in said
+
+
+def test_nothing_is_said_of_a_first_scan_and_of_a_carried_head(case):
+    moved, first = case(), case(markers=("sphere",))
+    first._former[RegisteredBySurface] = []
+    for one in (moved, first):
+        tell_whole_scan(one)
+        assert one.found == []
