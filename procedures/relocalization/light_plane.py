@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import AwareDatetime, Field
 
 from procedures.relocalization.errors import LINE_MOVED, LINE_PLANE_UNKNOWN
 from ronna_hw.arrays import Array
@@ -57,6 +57,20 @@ class LineRecord(Strict):
         description="Width of the line at its points, one standard deviation of its profile."
     )
     lines: Annotated[int, Field(ge=1)] = Field(description="Number of lines.")
+    created: AwareDatetime | None = Field(
+        default=None, description="Time of the record; none in one written before records had it."
+    )
+    stereo_head: str = Field(default="", description="Calibration of the stereo head that measured it.")
+    camera_serials: tuple[str, ...] = Field(
+        default=(), description="Serial numbers of its cameras, the left one first."
+    )
+
+    @property
+    def origin(self) -> str:
+        """Date, calibration and cameras in words."""
+        when = "without a date" if self.created is None else f"of {self.created:%Y-%m-%d}"
+        cameras = f", cameras {' and '.join(self.camera_serials)}" if self.camera_serials else ""
+        return f"{when}, stereo head {self.stereo_head or 'not named'}{cameras}"
 
     @property
     def plane(self) -> LightPlane:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
 
 import cv2
@@ -24,8 +25,8 @@ LEFT, RIGHT, DARK = "-left", "-right", "-dark"
 SUFFIX = ".png"
 
 
-def record_pictures(folder: Path, head: StereoHeadCalibration) -> LineRecord:
-    """Measure the pairs of pictures in a folder, and fit plane and width of the line.
+def record_pictures(folder: Path, head: StereoHeadCalibration, now: datetime) -> LineRecord:
+    """Measure the pairs of pictures in a folder, and fit plane and width of the line, seen by this head.
 
     Raises STE-019 without pictures, and the errors of `measure_line` and `triangulate_line`.
     """
@@ -42,7 +43,8 @@ def record_pictures(folder: Path, head: StereoHeadCalibration) -> LineRecord:
         found = triangulate_line(images[0], images[1], head)
         lines.append(found.points_mm)
         widths.append(width_mm(images[0], found, head))
-    return record_line(lines, widths)
+    seen_by = {"stereo_head": head.identifier, "camera_serials": (head.left.serial, head.right.serial)}
+    return record_line(lines, widths).model_copy(update={"created": now.replace(microsecond=0), **seen_by})
 
 
 def width_mm(left: LineImage, found: LinePoints, head: StereoHeadCalibration) -> float:

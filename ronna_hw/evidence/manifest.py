@@ -47,6 +47,8 @@ ROTATED_LOGS = tuple(f"{LOG_FILES[0]}.{number}" for number in (1, 2, 3))
 CHANGED_BY_RESUMING = (*LOG_FILES, *ROTATED_LOGS, WORLD_FILE, WITH_PORTS)
 # Folders derived from the run at any time, and not part of it.
 APART = ("export", BESIDE, f".{RAW_FOLDER}{PARTIAL}")
+LASER_LINE_FILE = "laser-line.json"  # written beside the baseline of a calibration by a later check
+LATER_RECORDS = (LASER_LINE_FILE,)  # dated and named by themselves, and not part of the run either
 KEPT_PLAN = "case/plan.toml"  # of a simulated case, written by the run itself
 FIRST_FOLDERS = ("records", "pictures", "readings", "bytes", "theatre", "case", "case/ct")
 OWN_FOLDERS = frozenset((*FIRST_FOLDERS, *LATER_FOLDERS, "raw/pictures"))  # made empty at first
@@ -211,7 +213,7 @@ def sha256_of(path: Path) -> str:
 
 
 def iterate_files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Yield every file of a run with its name, except journal, seal and exports.
+    """Yield every file of a run with its name, except journal, seal, exports and records added later.
 
     Also lists unexpected folders: too deep or unreadable ones, below which nothing is listed, and empty ones
     that no run makes.
@@ -221,13 +223,15 @@ def iterate_files(folder: Path) -> Iterator[tuple[str, Path]]:
     for path, is_folder, entered in found:
         name = path.relative_to(folder).as_posix()
         expected = is_folder and entered and (path in parents or name in OWN_FOLDERS)
-        if not expected and name not in (JOURNAL_FILE, SEAL_FILE):
+        apart = name in LATER_RECORDS and not is_folder
+        if not expected and not apart and name not in (JOURNAL_FILE, SEAL_FILE):
             yield name, path
 
 
-def list_unchecked_folders(folder: Path) -> list[str]:
-    """List the subfolders of a run's folder that are not part of the run and not checked."""
-    return [name for name in APART if (folder / name).is_dir()]
+def list_unchecked(folder: Path) -> list[str]:
+    """List the folders and records in a run's folder that are not part of the run and not checked."""
+    folders = [name for name in APART if (folder / name).is_dir()]
+    return folders + [name for name in LATER_RECORDS if (folder / name).is_file()]
 
 
 def is_written_later(name: str) -> bool:

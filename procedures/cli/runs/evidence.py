@@ -31,7 +31,7 @@ from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import Inspection, inspect_run
-from ronna_hw.evidence.manifest import iterate_files, list_unchecked_folders
+from ronna_hw.evidence.manifest import iterate_files, list_unchecked
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.near_names import did_you_mean
@@ -55,7 +55,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
     found = inspect_run(folder)
     problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
     not_vouched_for = list(describe_unsealed_files(found.chain.lines))
-    unchecked = list_unchecked_folders(folder)
+    unchecked = list_unchecked(folder)
     file_count = sum(1 for _ in iterate_files(folder))
     if as_json:
         whole = {"run": folder.resolve().name, "whole": not problems, "files": file_count}

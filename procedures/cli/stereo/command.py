@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,7 @@ import typer
 from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions, require_finite_ball
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import with_option_records
+from ronna_hw.evidence.manifest import LASER_LINE_FILE
 from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
 
 Triple = tuple[float, float, float]
 LARGE_PICTURE_PX = 544  # half the sensor's rows
-LINE_FILE = "laser-line.json"  # beside the baseline
 
 app = terminal.command_group(
     "ronna-stereo",
@@ -119,10 +120,12 @@ def check(
     activity = "measuring the ball"
     from procedures.relocalization.line_pictures import record_pictures
 
-    measured = None if line is None else record_pictures(line, recorded.stereo_head)  # before anything moves
+    measured = None  # before anything moves
+    if line is not None:
+        measured = record_pictures(line, recorded.stereo_head, datetime.now(UTC))
     check_calibration(request, options.out, activity, judge, _print_check, as_json=options.as_json)
     if measured is not None:
-        _check_line(measured, file.with_name(LINE_FILE))
+        _check_line(measured, file.with_name(LASER_LINE_FILE))
 
 
 @app.command()
@@ -185,6 +188,7 @@ def _check_line(measured: LineRecord, file: Path) -> None:
         terminal.tell(f"{pairs}: width {measured.width_mm:.3f} mm, plane recorded in {file}")
         return
     recorded = read_strict(LineRecord, file)
+    terminal.tell(f"record of the line: {recorded.origin}")
     shift_mm, turn_rad, widening = recorded.compare(measured)
     terminal.tell(
         f"{pairs}: plane shifted by {shift_mm:.3f} mm and turned by {1000 * turn_rad:.1f} mrad, "

@@ -26,7 +26,13 @@ from spoilt_runs import files_in, with_another_byte
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RUN_CHANGED
-from ronna_hw.evidence.manifest import OWN_FOLDERS, REQUEST_FILE, SEAL_FILE
+from ronna_hw.evidence.manifest import (
+    LASER_LINE_FILE,
+    OWN_FOLDERS,
+    REQUEST_FILE,
+    SEAL_FILE,
+    list_unchecked,
+)
 from ronna_hw.records import canonical_json
 
 
@@ -184,6 +190,12 @@ def test_a_renamed_run_is_called_unchanged_only_as_far_as_it_was_compared(run: P
     with raises(RUN_CHANGED, match=r"request\.json: changed") as refused:
         inspect_run(renamed, every_file=False).require_unchanged()
     assert "unchanged" not in str(refused.value)
+
+
+def test_a_laser_line_recorded_beside_the_baseline_later_is_named_and_no_added_file(run: Path) -> None:
+    (run / LASER_LINE_FILE).write_text("{}")
+    assert inspect_run(run).problems == ()
+    assert list_unchecked(run) == [LASER_LINE_FILE]
 
 
 def test_exports_are_not_part_of_the_run(run: Path) -> None:
