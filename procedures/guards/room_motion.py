@@ -210,7 +210,8 @@ def _patient_moved(
     elif head is not None and head.by_frame:
         what = (
             f"the head clamp{', or the tracker,' if tracker else ''} has moved since the head was localized, "
-            f"by {way}: by the frame on it, as the spheres are hidden"
+            f"by {way}: by the frame on it"
+            + (", as the spheres are hidden" if len(expected.spheres_mm) else "")
         )
     else:
         seen = f", the mean of {format_count(head.shift.points, 'sphere')}" if head and not motion.at else ""

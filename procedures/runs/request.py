@@ -29,6 +29,8 @@ PATIENT_SCENES = ("default", "mini")  # of the scenes that ronna-sim knows, thos
 LARGEST_SEED = 65535  # more cases than any study runs, and short enough to be read aloud
 
 FREE = "free"  # screws of their own
+XFRAME, SURFACE = "xframe", "surface"
+SEEN_BY_TOOLS = (XFRAME, SURFACE)  # no single sphere is to be seen by the tracker
 POLARIS = "polaris"  # the tracker itself, not a server in front of it
 DEFAULT_ARM = ArmChoice.KR6.value
 
@@ -48,13 +50,13 @@ MARKERS = {
     FREE: FittingMarkers(
         "spheres alone", range(3, 9), "3 to 8", "With 1 or 2 have the skin scanned too: --fiducials mixed."
     ),
-    "xframe": FittingMarkers(
+    XFRAME: FittingMarkers(
         "the x-shaped frame",
         range(FRAME_SPHERES, FRAME_SPHERES + 1),
         f"its {FRAME_SPHERES} spheres",
         "Omit --markers with the x-shaped frame.",
     ),
-    "surface": FittingMarkers(
+    SURFACE: FittingMarkers(
         "the surface as fiducial",
         range(0),
         "a head without spheres",
@@ -93,6 +95,13 @@ class SceneChoice:
                 action=f"Did you mean {close_matches[0]}?"
                 if close_matches
                 else "ronna-sim scene prints one to start from.",
+            )
+        if self.tracker != POLARIS and self.fiducials not in SEEN_BY_TOOLS and not self.has_own_fiducials:
+            raise UsageMistake(
+                f"--tracker {self.tracker} sends tools alone, and --fiducials {self.fiducials} has single "
+                "spheres",
+                expected=" or ".join(f"--fiducials {one}" for one in SEEN_BY_TOOLS),
+                action=f"Add --fiducials {' or '.join(SEEN_BY_TOOLS)}, or omit --tracker.",
             )
         fitting = MARKERS[self.fiducials]
         if self.markers is not None and self.markers not in fitting.counts:

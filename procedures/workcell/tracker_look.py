@@ -169,8 +169,12 @@ def add_frame_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFr
 
 
 def require_tracked_spheres(tracker: Device, kind: FiducialKind) -> None:
-    """Raise PLAN-034 if the tracker reports no strays and does not track the plan's spheres as a tool."""
-    if reports_strays(tracker) or not isinstance(tracker, OpticalTracker):
+    """Raise PLAN-034 if the tracker reports no strays and does not track the plan's spheres as a tool.
+
+    A head without spheres needs none: pointer and frame on the clamp are tools.
+    """
+    is_enough = kind is FiducialKind.SURFACE or reports_strays(tracker)
+    if is_enough or not isinstance(tracker, OpticalTracker):
         return
     if kind is not FiducialKind.XFRAME:
         raise SPHERES_NOT_TRACKED(

@@ -265,7 +265,7 @@ class CaseOptions(TheatreOptions):
         TrackerChoice,
         Option(
             help="With --sim: polaris for the unit itself; plus for its tools as PlusServer sends them, with "
-            "--fiducials xframe."
+            "--fiducials xframe or surface."
         ),
     ] = TrackerChoice.POLARIS
     speed: Annotated[SpeedChoice, Option(help="max: as fast as the devices go; 1: real time.")] = (

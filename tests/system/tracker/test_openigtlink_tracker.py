@@ -142,9 +142,9 @@ def test_single_spheres_are_refused_before_the_first_step(commands: Any, tmp_pat
         "ronna-procedure", "run", "--sim", "--scene", "mini", "--tracker", "plus",
         "--out", str(tmp_path / "runs"),
     )  # fmt: skip
-    assert run.returncode == 3
-    assert "PLAN-034" in run.stderr
-    assert 'fiducials = "xframe"' in run.stderr
+    assert run.returncode == 2
+    assert "CLI-001" in run.stderr
+    assert "--fiducials xframe" in run.stderr
     assert "done" not in run.stdout + run.stderr
 
 

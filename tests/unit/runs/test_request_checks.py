@@ -137,6 +137,15 @@ def test_a_scene_file_brings_its_own_seed_and_a_built_in_scene_takes_the_request
     assert SceneChoice("mini", seed=7).scene_seed == 7
 
 
+@pytest.mark.parametrize("fiducials", ["free", "mixed"])
+def test_single_spheres_are_refused_beside_a_tracker_that_sends_tools_alone(fiducials: str) -> None:
+    words = f"--tracker plus sends tools alone.*{fiducials}.*; expected .* Add --fiducials xframe or surface"
+    with raises(UsageMistake, match=words):
+        SceneChoice("mini", fiducials=fiducials, tracker="plus").check()
+    for possible in ("xframe", "surface"):
+        SceneChoice("mini", fiducials=possible, tracker="plus").check()
+
+
 def test_theatre_and_patient_are_made_for_the_chosen_arm() -> None:
     assert SceneChoice("mini", arm="ur5e").arguments()[-2:] == ["--arm", "ur5e"]
     assert "--arm" not in SceneChoice("mini").arguments()

@@ -23,10 +23,15 @@ def test_the_x_shaped_frame_as_a_tool_is_enough() -> None:
     require_tracked_spheres(served(TOOLS[0], ON_HEAD), FiducialKind.XFRAME)
 
 
+def test_a_head_without_spheres_needs_no_tool_for_them() -> None:
+    require_tracked_spheres(served(TOOLS[0]), FiducialKind.SURFACE)
+
+
 @pytest.mark.parametrize(
     ("tools", "kind", "words"),
     [
         ((TOOLS[0], ON_HEAD), FiducialKind.FREE, "spheres are of kind free"),
+        ((TOOLS[0], ON_HEAD), FiducialKind.MIXED, "spheres are of kind mixed"),
         (TOOLS, FiducialKind.XFRAME, "none of them is the x-shaped frame"),
     ],
 )
