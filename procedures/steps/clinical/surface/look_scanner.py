@@ -11,7 +11,7 @@ from procedures.registration.surface.errors import NOTHING_LIT
 from procedures.relocalization.triangulation import camera_model
 from procedures.room.sighting import Tracked
 from procedures.steps.clinical.path_check import LocalizationPose
-from procedures.steps.clinical.results import UPPER, ScannedLine
+from procedures.steps.clinical.results import UPPER, ScannedLine, ScannedLook
 from procedures.steps.clinical.room import check_room
 from procedures.workcell import Workcell
 from procedures.workcell.centring import Centring
@@ -19,11 +19,13 @@ from procedures.workcell.line_look import LineLook
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError, is_error
+from ronna_hw.text import format_count
 from ronna_hw.vectors import vector3
 
 SMALL_STEPS = "the small steps across each place on the skin"
 ACROSS_MM = (-9.0, -3.0, 3.0, 9.0)  # places of the line across a look, along the tool's y axis
 CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
+FEWEST_DARK = 5  # looks without a line that end a scan early; whole cases had two dark ones at most
 DECIMALS = 4  # of a point in the record, mm
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
 
@@ -88,12 +90,23 @@ def read_time_s(workcell: Workcell) -> float:
     return workcell.clock.now_s()
 
 
-def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str]) -> None:
-    """Raise SRF-032 without any line; `dark` has the reasons by look."""
+def is_dark_so_far(looks: Sequence[ScannedLook], planned: int, fewest: int) -> bool:
+    """Return whether no look has shown a line, and those to come are too few: `fewest` have to show one.
+
+    A few looks at hair or beside the head may be dark; a projector that does not light leaves all dark.
+    """
+    return len(looks) >= max(planned - fewest + 1, FEWEST_DARK) and not any(one.lines for one in looks)
+
+
+def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str], planned: int) -> None:
+    """Raise SRF-032 without any line; `dark` has the reasons by look of those that were taken."""
     if not lines:
         reason = next(iter(dark.values()), "") or "nothing"
+        none = "no look shows" if len(dark) >= planned else f"none of the first {len(dark)} looks shows"
         raise NOTHING_LIT(
-            f"no look shows the line: {reason}", expected="a line", got=f"{len(dark)} dark looks"
+            f"{none} the line: {reason}",
+            expected="a line",
+            got=f"{format_count(len(dark), 'dark look')} of {planned} planned",
         )
 
 

@@ -27,12 +27,14 @@ from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surface.look_scanner import (
     SMALL_STEPS,
     LookScanner,
+    is_dark_so_far,
     read_time_s,
     require_lines,
 )
 from procedures.steps.clinical.surface.scan_coverage import ScanCoverage, describe_scan
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, draw_coverage, tell_coverage
+from procedures.steps.clinical.surface.surface_paths import FEWEST_VIEWS
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.strategies.skin_looks import SKIN
@@ -103,7 +105,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     lines = [line for one in looks for line in one.lines]
     for number, reason in dark.items():
         context.find(f"look {number} at the skin shows no line: {reason}")
-    require_lines(lines, dark)
+    require_lines(lines, dark, len(planned))
     over_skin = Centring(workcell, None, LINE_AREA_PX, context.setting.settings.approach_mm)
     if over_skin.is_over_sphere:
         over_skin.back_off()
@@ -162,6 +164,8 @@ def _take_looks(
         if lines:
             workcell.record_scanned_look(_name_of(context), looks[-1].model_dump(mode="json"))
         coverage.add(_points_in_ct(context, lines))
+        if is_dark_so_far(looks, len(planned), FEWEST_VIEWS):
+            break
     state = coverage.after(len(planned))
     context.progress(1.0, describe_scan(state), state)
     return tuple(looks), state

@@ -61,6 +61,7 @@ from procedures.steps.clinical.surface.look_scanner import (
     LEFT_OUT,
     SMALL_STEPS,
     LookScanner,
+    is_dark_so_far,
     read_time_s,
     require_lines,
 )
@@ -228,7 +229,7 @@ def _look(
     dark = {str(one.number + 1): one.reason for one in looked if not one.lines}
     for name, reason in dark.items():
         context.find(f"first look {name} at the skin shows no line: {reason}")
-    require_lines([line for one in looked for line in one.lines], dark)
+    require_lines([line for one in looked for line in one.lines], dark, len(looks))
     return looked
 
 
@@ -250,6 +251,8 @@ def take_looks(context: StepContext, looks: Sequence[Reached], centring: Centrin
         done[number] = ScannedLook(number=number, lines=lines, reason=scanner.reason, theatre_s=theatre_s)
         if lines:
             workcell.record_scanned_look(name, done[number].model_dump(mode="json"))
+        if is_dark_so_far(tuple(done.values()), len(looks), FEWEST_VIEWS):
+            break
     return tuple(done[number] for number in sorted(done))
 
 

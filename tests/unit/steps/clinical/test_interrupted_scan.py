@@ -8,14 +8,17 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from procedures.engine.context import StepContext
 from procedures.engine.events import ScanProgress
 from procedures.journal.journal import Entry, Line
+from procedures.registration.surface.errors import NOTHING_LIT
 from procedures.registration.surface.surface import Surface
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import ScannedLine, ScannedLook
 from procedures.steps.clinical.surface import surface_scan, surface_survey
+from procedures.steps.clinical.surface.look_scanner import require_lines
 from procedures.steps.clinical.surface.scan_coverage import ScanCoverage
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.workcell import Workcell
@@ -82,7 +85,7 @@ class Scan:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.cell, self.taken, self.states = Cell(), list[int](), list[ScanProgress]()
-        self.paths, self.stops_at = "09-path_check", LOOKS
+        self.paths, self.stops_at, self.count, self.dark = "09-path_check", LOOKS, LOOKS, {DARK}
         monkeypatch.setattr(surface_scan, "skin_of", lambda _context: Skin)
         monkeypatch.setattr(surface_scan, "arriving", lambda *_arguments: None)
         scan = self
@@ -97,7 +100,7 @@ class Scan:
                 if self.number == scan.stops_at:
                     raise Interrupted
                 scan.taken.append(self.number)
-                return [] if self.number == DARK else [line_of(self.number)]
+                return [] if self.number in scan.dark else [line_of(self.number)]
 
         for step in (surface_scan, surface_survey):
             monkeypatch.setattr(step, "LookScanner", Scanner)
@@ -105,7 +108,7 @@ class Scan:
         monkeypatch.setattr(surface_scan, "Centring", lambda *_arguments: None)
 
     def take(self) -> tuple[ScannedLook, ...]:
-        looks = [SimpleNamespace(tool_pose=SimpleNamespace(transform=at(one))) for one in range(LOOKS)]
+        looks = [SimpleNamespace(tool_pose=SimpleNamespace(transform=at(one))) for one in range(self.count)]
         paths = SimpleNamespace(skin_looks=looks)
         trajectory = SimpleNamespace(target_mm=(50.0, 20.0, -60.0))
         result = SimpleNamespace(
@@ -134,7 +137,9 @@ class Scan:
             progress=lambda _share, _text: None,
             find=lambda _text: None,
         )
-        return surface_survey.take_looks(cast(StepContext, context), cast(Any, range(LOOKS)), cast(Any, None))
+        return surface_survey.take_looks(
+            cast(StepContext, context), cast(Any, range(self.count)), cast(Any, None)
+        )
 
 
 def at(number: int) -> Transform:
@@ -261,3 +266,25 @@ def test_kept_looks_are_lines_of_the_journal() -> None:
     cell = Cell()
     cell.record_scanned_look("09-path_check", {"number": 0})
     assert [line["entry"] for line in cell.journal] == [Entry.SCANNED]
+
+
+@pytest.mark.parametrize(("take", "taken"), [(Scan.take, 5), (Scan.survey, 7)])
+def test_a_projector_that_does_not_light_is_told_before_all_looks_are_taken(
+    scan: Scan, take: Any, taken: int
+) -> None:
+    scan.count = scan.stops_at = 12
+    scan.dark = set(range(12))
+    looks = take(scan)
+    assert len(looks) == taken
+    reasons = {str(one.number + 1): one.reason for one in looks}
+    with raises(
+        NOTHING_LIT, match=f"none of the first {taken} looks shows the line.*{taken} dark looks of 12"
+    ):
+        require_lines([], reasons, 12)
+
+
+@pytest.mark.parametrize("take", [Scan.take, Scan.survey])
+def test_looks_at_hair_first_do_not_end_a_scan(scan: Scan, take: Any) -> None:
+    scan.count = scan.stops_at = 12
+    scan.dark = {0, 1, 2, 3}
+    assert len(take(scan)) == 12

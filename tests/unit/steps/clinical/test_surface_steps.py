@@ -180,7 +180,7 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.branch("DARK_SCAN")
 def test_a_scan_without_any_line_is_refused_with_the_reason() -> None:
     with raises(NOTHING_LIT, match="no laser line"):
-        require_lines([], {"1": "no laser line in view"})
+        require_lines([], {"1": "no laser line in view"}, 1)
 
 
 @pytest.mark.parametrize("usable", [True, False])
