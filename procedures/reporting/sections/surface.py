@@ -68,15 +68,13 @@ class SurfaceSection:
         A carried registration has its points from a former scan.
         """
         if self.registration is not None and not self.registration.carried:
-            return tell_coverage(self.registration.coverage)
-        return tell_coverage(0.0 if self.scan is None else self.scan.covered)
+            return tell_coverage(self.registration.coverage, "the registration")
+        return tell_coverage(0.0 if self.scan is None else self.scan.covered, self.placed_by)
 
     @property
     def placed_by(self) -> str:
         """Source of the pose by which the picture of the coverage places the points of the scan."""
-        if self.start is not None and self.start.carried:
-            return "the clamp's frame"
-        return "the first looks" if self.start is not None and self.start.survey else "the landmarks"
+        return "the landmarks" if self.start is None else self.start.placed_by
 
     @property
     def coverage_caption(self) -> str:

@@ -134,6 +134,13 @@ class SurfaceStart(Correspondence, kind="surface_start"):
         return cls.model_validate({**empty, **fields})
 
     @property
+    def placed_by(self) -> str:
+        """What has placed the head, in words."""
+        if self.carried is not None:
+            return "the clamp's frame"
+        return "the first looks" if self.survey is not None else "the landmarks"
+
+    @property
     def start(self) -> Start:
         """The pose with its error."""
         touched = np.array([one.in_ct_mm for one in self.landmarks]) if self.landmarks else None

@@ -567,7 +567,7 @@ def test_the_touched_mark_and_what_it_told_stand_with_the_landmarks(tmp_path: Pa
     for words in (
         "mark of T1",
         "Left and right were told by the mark of T1",
-        "21% of the skin above the jaw",
+        "21% of the skin above the jaw lies within 10 mm of a point, placed by the landmarks",
     ):
         assert words in text
 

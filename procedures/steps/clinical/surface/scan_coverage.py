@@ -94,6 +94,6 @@ def describe_scan(state: ScanProgress) -> str:
     expected = state.predicted_error_mm
     return (
         f"looked {state.looks_done} of {state.looks_planned} times at the skin, {state.covered_share:.0%} of "
-        "the planned skin covered"
+        f"the skin around the planned looks lies within {COVERED_MM:g} mm of a line"
         + ("" if expected is None else f", expected error {expected:.2f} mm without arm and guide")
     )

@@ -29,9 +29,10 @@ def draw_coverage(skin: Surface, points_ct_mm: Array, missing_ct_mm: Array) -> t
     return covered, DrawnSkin(skin.points_mm, skin.normals).draw(places_mm, colours)
 
 
-def tell_coverage(share: float) -> str:
-    """Say how much of the head points cover."""
-    return f"{share:.0%} of the skin above the jaw lies within {COVERED_MM:g} mm of a point"
+def tell_coverage(share: float, placed_by: str) -> str:
+    """Say how much of the head points cover, and what has placed them on it."""
+    of_head = f"{share:.0%} of the skin above the jaw"
+    return f"{of_head} lies within {COVERED_MM:g} mm of a point, placed by {placed_by}"
 
 
 def draw_residuals(skin: Surface, found: SurfaceRegistration) -> bytes:

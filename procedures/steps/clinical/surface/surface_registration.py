@@ -302,7 +302,8 @@ def _accept(
                 f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
                 f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
                 f"{against[0].caution}\nthe skin differs from the CT by {found.misfit_mm:.2f} mm over "
-                f"{found.misfit_length_mm:.0f} mm; {tell_coverage(found.coverage)}"
+                f"{found.misfit_length_mm:.0f} mm; "
+                f"{tell_coverage(found.coverage, 'the registration')}"
                 + "".join(
                     f"\nsphere {one.number + 1} is {one.away_mm:.2f} mm from where everything else has it, "
                     f"about {one.rms_mm:.2f} mm are expected"

@@ -123,7 +123,8 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
             kept_looks=len(kept),
             progress=state,
         ),
-        summary=f"{len(lines)} lines, {len(points_mm)} points, {tell_coverage(covered)}"
+        summary=f"{len(lines)} lines, {len(points_mm)} points, "
+        f"{tell_coverage(covered, context.result(SurfaceStart).placed_by)}"
         + (f"; {len(dark)} looks show no line" if dark else ""),
     )
 

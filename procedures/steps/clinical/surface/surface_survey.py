@@ -145,8 +145,8 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
             ),
         ),
         summary=f"found by {format_count(shown, 'look')}, {format_count(len(lines), 'line')}, "
-        f"{tell_coverage(found.coverage)}, {place_mm:.0f} mm and {np.degrees(turn_rad):.0f} deg from where "
-        f"it was measured{tell_site(site)}",
+        f"{tell_coverage(found.coverage, 'these looks')}, {place_mm:.0f} mm and "
+        f"{np.degrees(turn_rad):.0f} deg from where it was measured{tell_site(site)}",
     )
 
 

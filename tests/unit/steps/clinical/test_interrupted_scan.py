@@ -19,7 +19,7 @@ from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import ScannedLine, ScannedLook
 from procedures.steps.clinical.surface import surface_scan, surface_survey
 from procedures.steps.clinical.surface.look_scanner import require_lines
-from procedures.steps.clinical.surface.scan_coverage import ScanCoverage
+from procedures.steps.clinical.surface.scan_coverage import ScanCoverage, describe_scan
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.workcell import Workcell
 from ronna_hw.frames import Frame, Transform
@@ -221,6 +221,8 @@ def test_progress_grows_and_goes_on_where_a_scan_was_interrupted(scan: Scan) -> 
     covered = [one.covered_share for one in scan.states[4:]]
     assert covered == sorted(covered)
     assert 0.0 < covered[0] < covered[-1]
+    said = describe_scan(scan.states[-1])
+    assert f"{covered[-1]:.0%} of the skin around the planned looks lies within 5 mm of a line" in said
     assert scan.states[-1].predicted_error_mm is None  # a plane allows any pose along it
 
 
