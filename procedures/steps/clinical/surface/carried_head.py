@@ -46,6 +46,7 @@ LARGEST_LIMIT_MM = 1.0
 TURN_SD_RAD, PLACE_SD_MM = math.radians(0.5), 1.0  # of a frame on the clamp, at the head (U)
 LOOK_MM = 0.1  # per axis, of a look by a calibrated arm (U)
 CARRYING = "head carried by its clamp"  # source of error
+
 BESIDE_SPHERES = (
     "beside spheres the clamp carries no registration, since a few looks at the skin do not confirm where "
     "the spheres are"
