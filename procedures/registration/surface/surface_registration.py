@@ -216,7 +216,8 @@ def register_surface(
     if len(thin) < FEWEST_POINTS:
         require_coverage(0.0, len(thin), limits)
     settled, surface = _settle(thin, surface, start, limits, find_bone)
-    pose = settled.pose
+    # By all points: which of them a grid in the robot's frame has left must not decide which are merged.
+    pose = settle(settled.pose, scan.points_mm, scan.view_mm, surface).pose
     merged, rows, is_hair, far = merge_neighbours(
         scan, Settled.at(pose, scan.points_mm, scan.view_mm, surface)
     )

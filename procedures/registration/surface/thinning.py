@@ -20,11 +20,13 @@ FIRST_SPACING_MM = 3.0
 WIDER = 1.1
 MEDIAN_VARIANCE = 0.5 * np.pi  # of a median of many normal errors, relative to that of their mean
 FEWEST_FOR_SPREAD = 3
+TIE_DIGITS = 3  # of mm: two points are as far from their mean, whatever the last bits say
 
 # Hair: neighbours lie in depths up to its thickness, skin does not. Source: parametric heads.
 HAIR_REACH_MM, HAIR_NEIGHBOURS = 15.0, 16
 HAIR_APART_MM = 1.0  # of these neighbours: those on one strand say nothing
 HAIR_SPREAD_MM, HAIR_NOISES, HAIR_SPREADS = 0.1, 0.5, 2.0  # limit: least, by the noise, by the usual spread
+BESIDE_HAIR = 0.75  # of that limit; what neighbours scatter beyond it is noise
 ABOVE_QUANTILE, ABOVE_SHARE = 0.84, 1.5  # outwards from the median; relative to that limit
 
 
@@ -53,7 +55,8 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
     """Merge the points of each look in a cell to one at their median distance from the surface.
 
     `placed` are all points of the scan near their pose. What a merged point may be off by is stated by its
-    neighbours or by their scatter, whichever is more. Points far from the surface are left out.
+    neighbours or by their scatter, whichever is more, and by that of a wider neighbourhood which is nearly
+    hair. Points far from the surface are left out.
     """
     is_near = placed.valid & (np.abs(placed.distances_mm) < NEAR_MM)
     near, far = np.flatnonzero(is_near), np.flatnonzero(~is_near)
@@ -72,19 +75,24 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
     variance = np.where(several, MEDIAN_VARIANCE * np.maximum(stated, scatter**2), stated)
     merged = scan.select(rows)
     moved = (level - placed.distances_mm[rows])[:, None] * placed.directions[rows]
-    scale = variance / counts / noise_mm2[rows]
+    spread, above = _spread_in_depth(placed, near, rows)
+    limit = HAIR_SPREAD_MM + HAIR_NOISES * np.sqrt(noise_mm2[rows]) + HAIR_SPREADS * np.median(spread)
+    scattered_mm2 = np.maximum(spread**2 - (BESIDE_HAIR * limit) ** 2, 0.0)
+    scale = (variance / counts + scattered_mm2) / noise_mm2[rows]
     merged = replace(
         merged,
         points_mm=merged.points_mm + moved,
         covariance_mm2=merged.covariance_mm2 * scale[:, None, None],
     )
-    is_hair = _mark_hair(placed, near, rows, noise_mm2[rows])
+    is_hair = (spread > limit) | (above > ABOVE_SHARE * limit)
     apart, beside, _ = _cells(placed.places_mm[far], scan.look[far], len(scan), spacing_mm)
     return MergedScan(merged, rows, is_hair, far[apart[_middles(placed.places_mm[far[apart]], beside)]])
 
 
-def _mark_hair(placed: Settled, near: NDArray[np.int64], rows: NDArray[np.int64], noise_mm2: Array) -> Mask:
-    """Mark the rows whose neighbours scatter in depth as hair does: both ways, or outwards."""
+def _spread_in_depth(
+    placed: Settled, near: NDArray[np.int64], rows: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Return how the neighbours of the rows scatter in depth, as hair does: both ways, and outwards, mm."""
     order, cell, _ = _cells(placed.places_mm[near], np.zeros(len(near), np.int64), len(near), HAIR_APART_MM)
     apart = near[order[_middles(placed.places_mm[near[order]], cell)]]
     places, distances = placed.places_mm[apart], placed.distances_mm[apart]
@@ -93,9 +101,7 @@ def _mark_hair(placed: Settled, near: NDArray[np.int64], rows: NDArray[np.int64]
     depth = np.where(apart < HAIR_REACH_MM, distances[beside], np.nan)
     level = np.nanmedian(depth, axis=1)
     spread = MAD_TO_SIGMA * np.nanmedian(np.abs(depth - level[:, None]), axis=1)
-    above = np.nanquantile(depth, ABOVE_QUANTILE, axis=1) - level
-    limit = HAIR_SPREAD_MM + HAIR_NOISES * np.sqrt(noise_mm2) + HAIR_SPREADS * np.median(spread)
-    return np.asarray((spread > limit) | (above > ABOVE_SHARE * limit))
+    return spread, np.nanquantile(depth, ABOVE_QUANTILE, axis=1) - level
 
 
 def _cells(
@@ -121,6 +127,6 @@ def _middles(points_mm: Array, cell: NDArray[np.int64]) -> NDArray[np.int64]:
         return cell
     counts = np.bincount(cell)
     mean = np.column_stack([np.bincount(cell, one) for one in points_mm.T]) / counts[:, None]
-    distance = np.linalg.norm(points_mm - mean[cell], axis=1)
+    distance = np.round(np.linalg.norm(points_mm - mean[cell], axis=1), TIE_DIGITS)
     by_cell = np.lexsort((distance, cell))  # stable: equal distances keep the order of places
     return np.asarray(by_cell[np.concatenate([[0], np.cumsum(counts)[:-1]])], dtype=np.int64)

@@ -79,8 +79,9 @@ def test_neither_the_order_of_the_points_nor_a_second_run_changes_a_bit(heads, s
         assert first.predict(TARGETS_MM[0]).limit_mm() == other.predict(TARGETS_MM[0]).limit_mm()
 
 
-def test_where_the_cart_stands_changes_next_to_nothing(heads, scan_of):
-    made = scan_of(heads[0], 7, count=300)
+@pytest.mark.parametrize("seed", [7, 8, 11])
+def test_where_the_cart_stands_changes_next_to_nothing(heads, scan_of, seed):
+    made = scan_of(heads[0], seed, count=300)
     turned = Transform(
         Frame.ROBOT,
         Frame.ROBOT,
@@ -90,7 +91,7 @@ def test_where_the_cart_stands_changes_next_to_nothing(heads, scan_of):
     here = register_surface(made.scan, heads[0], made.start)
     there = register_surface(made.scan.placed(turned), heads[0], start)
     apart_mm = there.robot_from_ct.apply(TARGETS_MM) - turned.apply(here.robot_from_ct.apply(TARGETS_MM))
-    assert np.linalg.norm(apart_mm, axis=1).max() < 0.2 * here.predict(TARGETS_MM[0]).rms_mm
+    assert np.linalg.norm(apart_mm, axis=1).max() < 1e-3 * here.predict(TARGETS_MM[0]).rms_mm
 
 
 def test_lines_that_were_taken_twice_leave_the_hair_out_as_before(heads, scan_of, random):
