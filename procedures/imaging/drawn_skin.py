@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ronna_hw.arrays import Array
 
 PX_PER_MM, EDGE_PX = 1.6, 12
+# Below each view, for its name: legible where three views share the width of a phone.
+NAME_PX, NAME_EDGE_PX, NAME_SIZE, NAME_STROKE_PX = 44, 10, 1.3, 2
 PAPER, INK = (255, 255, 255), (40, 40, 40)  # BGR
 SCANNED, MISSING = (60.0, 110.0, 20.0), (140.0, 40.0, 215.0)  # BGR: green, and pink
 DARKEST, BRIGHTEST = 150.0, 235.0  # grey of skin that is seen edge on, and face on
@@ -44,7 +46,7 @@ class _View:
         axes = np.stack([right, -up], axis=1)
         low, high = (points_mm @ axes).min(axis=0), (points_mm @ axes).max(axis=0)
         width, height = (int(one) + 2 * EDGE_PX for one in np.ceil((high - low) * PX_PER_MM))
-        return cls(name, outwards, axes, low, (width, height), corner_px)
+        return cls(name, outwards, axes, low, (width, height + NAME_PX), corner_px)
 
     def place(self, places_mm: Array) -> list[list[int]]:
         """Return pixels of the whole picture."""
@@ -91,8 +93,7 @@ class DrawnSkin:
                 view.place(places_mm[near]), colours[near].tolist(), rings[near], strict=True
             ):
                 cv2.circle(picture, at, radius_px, INK if ring else colour, 1 if ring else -1, cv2.LINE_AA)
-            corner = (view.corner_px + 4, 14)
-            cv2.putText(picture, view.name, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.45, INK, 1, cv2.LINE_AA)
+            _name(picture, view)
         _, content = cv2.imencode(".png", picture)
         return bytes(content.tobytes())
 
@@ -108,3 +109,10 @@ class DrawnSkin:
 
     def _is_near(self, view: _View, places_mm: Array) -> NDArray[np.bool_]:
         return np.asarray((places_mm - self._middle_mm) @ view.outwards > 0.0)
+
+
+def _name(picture: NDArray[np.uint8], view: _View) -> None:
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    (width_px, _), _ = cv2.getTextSize(view.name, font, NAME_SIZE, NAME_STROKE_PX)
+    at = (view.corner_px + (view.size_px[0] - width_px) // 2, picture.shape[0] - NAME_EDGE_PX)
+    cv2.putText(picture, view.name, at, font, NAME_SIZE, INK, NAME_STROKE_PX, cv2.LINE_AA)

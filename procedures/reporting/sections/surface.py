@@ -6,11 +6,20 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Self
 
+import numpy as np
+
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart
 from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
 from procedures.steps.clinical.results import RegisteredBySurface, ScannedSurface
-from procedures.steps.clinical.surface.skin_pictures import COVERAGE_PICTURE, FULL_COLOUR_MM, tell_coverage
+from procedures.steps.clinical.surface.landmark_reading import BY_POINTER, most_apart_mm
+from procedures.steps.clinical.surface.skin_pictures import (
+    COVERAGE_PICTURE,
+    FULL_COLOUR_MM,
+    colour_residuals,
+    tell_coverage,
+)
+from procedures.steps.clinical.surface.surface_start import READ_MM
 from ronna_hw.text import format_count
 
 SURFACE_PICTURES = "surface-"  # names of pictures of the skin begin with it
@@ -57,6 +66,20 @@ class SurfaceSection:
         )
 
     @property
+    def landmark_limits(self) -> str:
+        """Say how far landmarks, and the mark of an entry, may be from their places."""
+        if self.start is None:
+            return ""
+        limits = []
+        if self.start.landmarks:
+            rms_mm = most_apart_mm(len(self.start.pairs), BY_POINTER.deviation_mm)
+            beside = f" beside {format_count(len(self.start.pairs), 'sphere')}" if self.start.pairs else ""
+            limits.append(f"the landmarks together by {rms_mm:.1f} mm rms at most{beside}")
+        if self.start.site is not None:
+            limits.append(f"the mark of an entry by {READ_MM:g} mm")
+        return f"Accepted: {', '.join(limits)}." if limits else ""
+
+    @property
     def points(self) -> int:
         """Points of the scan."""
         return 0 if self.scan is None else sum(len(line.points_mm) for line in self.scan.lines)
@@ -75,6 +98,12 @@ class SurfaceSection:
     def placed_by(self) -> str:
         """Source of the pose by which the picture of the coverage places the points of the scan."""
         return "the landmarks" if self.start is None else self.start.placed_by
+
+    @property
+    def colour_scale(self) -> str:
+        """The colours of the distances as a gradient of a style sheet, from inside to outside."""
+        ends_mm = np.array([-self.full_colour_mm, 0.0, self.full_colour_mm])
+        return ", ".join(f"rgb({r:.0f} {g:.0f} {b:.0f})" for b, g, r in colour_residuals(ends_mm))
 
     @property
     def coverage_caption(self) -> str:

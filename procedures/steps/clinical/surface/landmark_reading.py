@@ -124,7 +124,7 @@ def require_fit(
     the head would be elsewhere than planned, or than its clamp.
     """
     off_mm = _off_mm(in_ct_mm, read_mm, pose)
-    if (limit_mm := _most_apart_mm(spheres, reading.deviation_mm)) < _rms(off_mm):
+    if (limit_mm := most_apart_mm(spheres, reading.deviation_mm)) < _rms(off_mm):
         places = ", ".join(f"{one} {off:.0f} mm" for one, off in zip(TOUCHED, off_mm, strict=True))
         cause = _guess_cause(in_ct_mm, read_mm, prior, reading)
         raise GateFailed(
@@ -144,7 +144,7 @@ def _off_mm(in_ct_mm: Array, read_mm: Array, pose: Transform) -> Array:
     return np.asarray(np.linalg.norm(read_mm - pose.apply(in_ct_mm), axis=1))
 
 
-def _most_apart_mm(spheres: int, deviation_mm: float) -> float:
+def most_apart_mm(spheres: int, deviation_mm: float) -> float:
     """Return the largest distance from their fit, rms, that landmarks have by their own error."""
     free = 3 * (len(TOUCHED) + spheres) - 6  # a pose takes six of the coordinates
     return deviation_mm * float(np.sqrt(chdtri(free, READ_AGAIN_SHARE) / len(TOUCHED)))
@@ -167,7 +167,7 @@ def _guess_cause(in_ct_mm: Array, read_mm: Array, prior: RoomPrior, reading: Lan
         sorted_mm = read_mm[list(order)]
         pose = Start.from_landmarks(in_ct_mm, sorted_mm, reading.deviation_mm).robot_from_ct
         rms_mm = _rms(_off_mm(in_ct_mm, sorted_mm, pose))
-        if rms_mm <= _most_apart_mm(0, reading.deviation_mm) and not _object_to(pose, prior):
+        if rms_mm <= most_apart_mm(0, reading.deviation_mm) and not _object_to(pose, prior):
             found.append((rms_mm, order))
     return _tell_order(min(found)[1]) if found else ""
 
