@@ -17,17 +17,24 @@ _STEP_OF_LINE = re.compile(r"\s*(?:when|since)\s+step\s*==\s*(?P<step>\w+)(?P<tr
 _TIME_OF_LINE = re.compile(r"\s*at\s+(?P<at_s>\d+(?:\.\d*)?)\s*s\b")
 
 
-def check_fault_script(path: Path, step_names: Collection[str]) -> None:
-    """Raise CLI-001 if the fault script is missing or refers to unknown steps."""
+def check_fault_script(path: Path, step_names: Collection[str], once: Collection[str] = ()) -> None:
+    """Raise CLI-001 if the fault script is missing or refers to unknown steps.
+
+    Steps that run `once`, for all trajectories, are not those of one: a fault of one would never begin.
+    """
     if not path.is_file():
         raise UsageMistake(f"there is no fault script {path}", action="Give the path of a file.")
-    found = [(number, match["step"]) for number, line in _lines(path) if (match := _STEP_OF_LINE.match(line))]
-    unknown = [
-        f"line {number}: there is no step {step!r}" for number, step in found if step not in step_names
-    ]
-    if unknown:
+    found = [(number, match) for number, line in _lines(path) if (match := _STEP_OF_LINE.match(line))]
+    wrong = []
+    for number, match in found:
+        step, trajectory = match["step"], match["trajectory"]
+        if step not in step_names:
+            wrong.append(f"line {number}: there is no step {step!r}")
+        elif step in once and trajectory:
+            wrong.append(f"line {number}: {step!r} runs once for all trajectories, not for {trajectory[1:]}")
+    if wrong:
         raise UsageMistake(
-            f"{path.name}, {'; '.join(unknown)}",
+            f"{path.name}, {'; '.join(wrong)}",
             expected=f"one of {', '.join(step_names)}",
             action="Correct the fault script; ronna-procedure steps lists the steps of a case, with the "
             "--fiducials and --dual that it has.",

@@ -234,13 +234,14 @@ def check_case(request: RunRequest, out: Path) -> None:
         if request.config is None:
             require_simulated_patient(case_procedure.plan, plan.series_instance_uid, request.choice)
     if request.faults is not None:
+        from procedures.engine.order import Scope
         from procedures.planning.plan_model import FiducialKind
         from procedures.steps.catalogue import clinical_steps
 
         stated = FiducialKind(request.choice.fiducials)
         kinds = tuple(FiducialKind) if request.choice.has_own_fiducials else (stated,)
-        steps = (
-            step.name
+        steps = [
+            step
             for kind in kinds
             for step in clinical_steps(
                 measure_targets=case_procedure.measure_targets,
@@ -249,8 +250,10 @@ def check_case(request: RunRequest, out: Path) -> None:
                 fiducials=kind,
                 start=case_procedure.methods.start,
             )
-        )
-        check_fault_script(request.faults, tuple(dict.fromkeys(steps)))
+        ]
+        once = {step.name for step in steps if step.scope is Scope.CASE}
+        once -= {step.name for step in steps if step.scope is not Scope.CASE}
+        check_fault_script(request.faults, tuple(dict.fromkeys(step.name for step in steps)), once)
 
 
 def require_space(out: Path) -> None:

@@ -58,6 +58,15 @@ def test_every_unknown_step_is_reported_with_its_line_and_the_known_steps(tmp_pa
     assert "expected one of registration, at_target" in message
 
 
+def test_a_fault_in_a_step_of_one_trajectory_is_refused_where_the_step_runs_once(tmp_path: Path) -> None:
+    script = _script(tmp_path, "since step == surface_start:T1: room shift head 1 0 0 mm\n")
+    request = RunRequest(
+        procedure=CaseProcedure(), choice=SceneChoice("mini", fiducials="surface"), faults=script
+    )
+    with pytest.raises(UsageMistake, match="'surface_start' runs once for all trajectories, not for T1"):
+        request_checks.check_case(request, tmp_path / "runs")
+
+
 def test_a_missing_script_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageMistake, match="there is no fault script"):
         check_fault_script(tmp_path / "none.txt", STEPS)
