@@ -76,10 +76,15 @@ def _thesis() -> Iterator[Condition]:
 
 
 def _on_skin() -> Iterator[Condition]:
-    """Yield a rigid phantom that is registered on its skin, and one with bare bone besides."""
+    """Yield a rigid phantom that is registered on its skin, one with bare bone besides, and heads of people.
+
+    Their skin has moved since the CT; the last have a few screws as well.
+    """
     phantom = Condition("skin_phantom", carrier=Carrier.SURFACE, targets=5, is_rigid=True)
     yield phantom
     yield replace(phantom, group="bone_phantom", bare_bone_mm=45.0)
+    yield Condition("skin", carrier=Carrier.SURFACE, targets=5)
+    yield Condition("mixed", carrier=Carrier.MIXED, targets=5)
 
 
 def _others() -> Iterator[Condition]:

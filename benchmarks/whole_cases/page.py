@@ -32,6 +32,10 @@ CAPTIONS = {
     "ur5e_uncalibrated": "UR5e, uncalibrated",
     "ur5e_calibrated": "UR5e, calibrated",
     "two_arms": "two arms",
+    "skin_phantom": "rigid phantom without markers",
+    "bone_phantom": "rigid phantom without markers, bone bare at the forehead",
+    "skin": "head without markers, whose skin has moved",
+    "mixed": "the same with a few screws",
     "seating_uncalibrated": "spheres refitted to 0.22 mm per axis, uncalibrated arm",
     "seating_calibrated": "spheres refitted to 0.22 mm per axis, calibrated arm",
 }
