@@ -66,10 +66,17 @@ class Skin(StrEnum):
     FILM = "adhesive film"
     STREAKS = "streaks of metal"
     EARS = "bent ears"
+    CLENCHED = "clenched teeth"
+    MASK = "marks of a mask"
+    BRUISE = "bruise with a firm rim"
+    MATTED = "hair shown as skin"
+    STAIRS = "stairs of the slices"
+    ROUNDED = "rounded surface"
 
 
-JUDGED = (Skin.WHEALS, Skin.STEROIDS, Skin.FLUID, Skin.FILM, Skin.STREAKS, Skin.EARS)
+JUDGED = (Skin.CLENCHED, Skin.MASK, Skin.BRUISE, Skin.MATTED, Skin.STAIRS, Skin.ROUNDED)
 # These judged once each and were looked at afterwards (decision 33).
+THIRD_JUDGED = (Skin.WHEALS, Skin.STEROIDS, Skin.FLUID, Skin.FILM, Skin.STREAKS, Skin.EARS)
 SECOND_JUDGED = (Skin.PADS, Skin.HYDRATION, Skin.SLIDE, Skin.BLUR, Skin.TUBE, Skin.BEARD)
 FIRST_JUDGED = (Skin.SAG, Skin.OEDEMA, Skin.SLICES, Skin.SCALE, Skin.BAND, Skin.FOLDS)
 DEVELOPMENT = tuple(skin for skin in Skin if skin not in JUDGED)  # shown, but not judged

@@ -15,6 +15,7 @@ from studies.surface.conditions import SHIFT_EDGE_MM, SHIFT_MM, SHIFTED_SHARE, D
 from studies.surface.first_judged_skins import FIRST_JUDGED_KINDS, displace_beside
 from studies.surface.judged_skins import JUDGED_KINDS
 from studies.surface.second_judged_skins import SECOND_JUDGED_KINDS
+from studies.surface.third_judged_skins import THIRD_JUDGED_KINDS
 
 ORDERS = {Skin.ROUGH: 0.5, Skin.SMOOTH: 2.5, Skin.SMOOTHEST: float("inf")}
 PATCHES, PATCH_EDGE_MM, PATCH_RADII = (6, 15), 4.0, (0.6, 1.5)  # radii relative to the length
@@ -112,7 +113,8 @@ _KINDS: Mapping[Skin, Displacement] = {
     Skin.PILLOW: _pillow,
     **{
         skin: partial(displace_beside, kind)
-        for skin, kind in {**FIRST_JUDGED_KINDS, **SECOND_JUDGED_KINDS, **JUDGED_KINDS}.items()
+        for kinds in (FIRST_JUDGED_KINDS, SECOND_JUDGED_KINDS, THIRD_JUDGED_KINDS, JUDGED_KINDS)
+        for skin, kind in kinds.items()
     },
 }
 

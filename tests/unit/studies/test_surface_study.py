@@ -22,6 +22,7 @@ from studies.surface.conditions import (
     SECOND_JUDGED,
     SHIFTED,
     SIZE_MM,
+    THIRD_JUDGED,
     Coverage,
     Draw,
     Skin,
@@ -103,8 +104,15 @@ SHIFTED_BY: dict[Skin, tuple[float, float]] = {  # rms over the front and the ea
     Skin.FILM: (0.4, 0.65),
     Skin.STREAKS: (0.4, 0.7),
     Skin.EARS: (0.4, 0.65),
+    Skin.CLENCHED: (0.35, 0.65),
+    Skin.MASK: (0.35, 0.65),
+    Skin.BRUISE: (0.4, 0.65),
+    Skin.MATTED: (0.4, 0.65),
+    Skin.STAIRS: (0.4, 0.65),
+    Skin.ROUNDED: (0.4, 0.65),
 }
-UNEVEN = (Skin.BEARD, Skin.STREAKS)  # of hair, and of streaks a few degrees wide
+# Hair, streaks a few degrees wide, steps of a few millimetres, and the edges of lids and ears
+UNEVEN = (Skin.BEARD, Skin.STREAKS, Skin.STAIRS, Skin.ROUNDED)
 
 
 @functools.cache
@@ -125,7 +133,7 @@ def test_a_skin_that_judges_or_judged_has_its_stated_size_over_the_front_of_the_
 
 
 @pytest.mark.parametrize("skin", SHIFTED_BY)
-def test_a_skin_but_a_beard_and_streaks_is_smooth_and_all_differ_by_the_seed(skin: Skin) -> None:
+def test_a_skin_is_smooth_but_for_hair_and_edges_of_the_ct_and_all_differ_by_the_seed(skin: Skin) -> None:
     front, beside = np.split(displaced(skin), 2, axis=1)
     is_smooth = np.sqrt(np.mean((front - beside) ** 2)) < 0.15 * np.sqrt(np.mean(front**2))
     assert is_smooth == (skin not in UNEVEN)
@@ -141,6 +149,16 @@ def move(skin: Skin, points: np.ndarray) -> np.ndarray:
 def skin_of(region: Region) -> np.ndarray:
     head = draw_head(SEED, 0)
     return np.asarray(head.skin_mm[regions(head.head, head.skin_mm) == region][::10])
+
+
+def crests_and_hollows() -> tuple[np.ndarray, np.ndarray]:
+    """Return which samples lie on the tip of the nose, and in the corners between eyes and nose."""
+    head = draw_head(SEED, 0)
+    marks, skin_mm = head.head.landmarks, head.skin_mm
+    tip = np.linalg.norm(skin_mm - marks.nose_tip, axis=1) < 12.0
+    beside = np.abs(np.abs(skin_mm[:, 0]) - 14.0) < 4.0
+    corner = beside & (skin_mm[:, 1] < 0.0) & (np.abs(skin_mm[:, 2] - marks.sellion_mm + 4.0) < 5.0)
+    return tip, corner
 
 
 def test_gravity_moves_the_cheeks_more_than_the_forehead_and_fluid_moves_the_skin_outwards_only() -> None:
@@ -209,6 +227,44 @@ def test_streaks_cross_the_jaw_most_and_in_some_heads_the_vault() -> None:
     assert 0.1 < is_crossed.mean() < 0.9
 
 
+def test_clenched_teeth_move_cheeks_and_temples_and_a_mask_the_face_and_neither_the_vertex() -> None:
+    head = draw_head(SEED, 0)
+    vertex = head.skin_mm[head.skin_mm[:, 2] > 0.8 * head.head.semi_axes_mm[2]][::10]
+    for skin in (Skin.CLENCHED, Skin.MASK):
+        assert np.std(move(skin, skin_of(Region.CHEEK))) > 8.0 * np.std(move(skin, vertex))
+    clenched, masked = (move(skin, skin_of(Region.NOSE)) for skin in (Skin.CLENCHED, Skin.MASK))
+    assert np.std(clenched) < 0.1 * np.std(masked)
+
+
+def test_a_bruise_has_a_rim_that_stands_up_whatever_its_middle_does() -> None:
+    moved = move(Skin.BRUISE, skin_of(Region.FOREHEAD))
+    assert moved.mean() > 0.5
+    assert moved.min() < -5.0
+
+
+def test_hair_in_the_ct_lies_outside_the_skin_and_ends_at_the_hair_line() -> None:
+    vault, cheeks = (move(Skin.MATTED, skin_of(region)) for region in (Region.VAULT, Region.CHEEK))
+    assert vault.max() < 0.5  # of the weak field
+    assert vault.mean() < -3.0
+    assert np.std(cheeks) < 0.1
+
+
+def test_stairs_of_the_slices_cross_inclined_skin_and_are_nothing_in_the_mean() -> None:
+    head = draw_head(SEED, 0)
+    slope = np.abs(head.normals[:, 2])
+    flat, steep = (move(Skin.STAIRS, head.skin_mm[chosen][::20]) for chosen in (slope > 0.7, slope < 0.1))
+    assert np.std(flat) > 2.0 * np.std(steep)
+    assert abs(flat.mean()) < 0.1 * np.std(flat)
+
+
+def test_a_rounded_surface_loses_crests_and_fills_hollows_or_the_reverse() -> None:
+    crests, hollows = (
+        move(Skin.ROUNDED, draw_head(SEED, 0).skin_mm[chosen]) for chosen in crests_and_hollows()
+    )
+    assert (crests.mean(axis=1) * hollows.mean(axis=1)).max() < 0.0
+    assert crests.mean() > 0.0
+
+
 def test_a_ct_of_wrong_scale_moves_the_skin_by_less_than_half_a_percent_of_its_distance() -> None:
     head = draw_head(SEED, 0)
     points = head.skin_mm[::40]
@@ -221,7 +277,15 @@ def test_a_developer_runs_the_study_without_the_judged_skins_and_the_default_has
     def skins(kinds: Kinds) -> list[str]:
         return [one.condition.partition("|")[2] for one in SurfaceStudy(1, shifts=0, kinds=kinds).units()]
 
-    assert set(skins(Kinds.DEVELOPMENT)) == set(DEVELOPMENT) > {*FIRST_JUDGED, *SECOND_JUDGED}
+    assert (
+        set(skins(Kinds.DEVELOPMENT))
+        == set(DEVELOPMENT)
+        > {
+            *FIRST_JUDGED,
+            *SECOND_JUDGED,
+            *THIRD_JUDGED,
+        }
+    )
     assert set(skins(Kinds.JUDGED)) == set(JUDGED)
     assert len(skins(Kinds.JUDGED)) == 30  # six kinds, five coverages: 10,020 judged with 334 heads
     assert sorted(skins(Kinds.ALL)) == sorted([*skins(Kinds.JUDGED), *2 * (Skin.RIGID, Skin.ROUGH)])
@@ -233,8 +297,8 @@ def test_tables_of_a_study_with_judged_skins_are_of_these_alone() -> None:
         sums = {f"{Coverage.ALL}|{skin}": one for skin in skins}
         return tables.tables(sums)[0].note
 
-    assert goals(Skin.WHEALS, Skin.PADS, Skin.BAND).startswith("1 judged registrations")
-    assert goals(Skin.PADS, Skin.BAND, Skin.TAPE).startswith("3 development registrations")
+    assert goals(Skin.MASK, Skin.WHEALS, Skin.PADS).startswith("1 judged registrations")
+    assert goals(Skin.WHEALS, Skin.PADS, Skin.BAND).startswith("3 development registrations")
 
 
 def test_a_third_of_the_skin_is_shifted_by_one_millimetre() -> None:
