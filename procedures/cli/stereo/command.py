@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -118,11 +117,12 @@ def check(
     measurement = Measurement(steps=steps, title="Check of the stereo head", in_use=in_use)
     request = replace(theatre, procedure=measurement)
     activity = "measuring the ball"
+    from procedures.engine.setting import now_to_second
     from procedures.relocalization.line_pictures import record_pictures
 
     measured = None  # before anything moves
     if line is not None:
-        measured = record_pictures(line, recorded.stereo_head, datetime.now(UTC))
+        measured = record_pictures(line, recorded.stereo_head, now_to_second())
     check_calibration(request, options.out, activity, judge, _print_check, as_json=options.as_json)
     if measured is not None:
         _check_line(measured, file.with_name(LASER_LINE_FILE))
