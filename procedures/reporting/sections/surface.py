@@ -95,6 +95,18 @@ class SurfaceSection:
         return tell_coverage(0.0 if self.scan is None else self.scan.covered, self.placed_by)
 
     @property
+    def told_progress(self) -> str:
+        """Say what the operator saw of the scan at its end, as a sentence; nothing of an older record."""
+        progress = None if self.scan is None else self.scan.progress
+        if progress is None:
+            return ""
+        expected = progress.predicted_error_mm
+        error = "" if expected is None else f", with {expected:.2f} mm rms expected without arm and guide"
+        planned = format_count(progress.looks_planned, "look")
+        covered = f"{progress.covered_share:.0%} of the skin around them was covered"
+        return f" At the end of the scan {progress.looks_done} of {planned} were taken, and {covered}{error}."
+
+    @property
     def placed_by(self) -> str:
         """Source of the pose by which the picture of the coverage places the points of the scan."""
         return "the landmarks" if self.start is None else self.start.placed_by

@@ -97,10 +97,10 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
             joints_rad=joints,
             tracker_from_patient=None if patient is None else FramedPose.of(patient),
         ),
-        summary=(f"{len(groups)} stray spheres" if groups else "no sphere")
+        summary=(f"{len(groups)} stray spheres" if groups else "the clamp without spheres")
         + f" in {len(frames)} frames"
         + (f", largest spread {spread_mm:.2f} mm" if groups else "")
-        + (f", relative to {name}" if patient is not None else "")
+        + (f", {'relative to' if groups else 'by'} {name}" if patient is not None else "")
         + (f", {lost} readings lost on the line" if lost else ""),
     )
 

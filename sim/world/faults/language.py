@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from lark import Lark
     from lark.exceptions import UnexpectedInput
 
+OTHER_UNITS = frozenset("um cm m km ms min h rad mrad kN".split())  # in which a number may be meant
 MOST_TRIED = 4  # similar lines, each of which is parsed
 LEAST_ALIKE = 0.6  # similarity of line and suggestion; below, an example helps more
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
@@ -412,6 +413,8 @@ def _fill_phrase(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
             filled = [word if known in TERMINALS else known for known, word in pairs]
             arguments = [word for known, word in zip(phrase, filled, strict=True) if known in TERMINALS]
             known_one = not (arguments and kind.choices) or arguments[0] in kind.choices
+            if any(known != word and word in OTHER_UNITS for known, word in zip(phrase, typed, strict=False)):
+                continue  # its number is not of the unit that belongs there
             if all(filled) and known_one and all(map(_ARGUMENT.fullmatch, arguments)):
                 yield " ".join(filled)
 

@@ -81,6 +81,11 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
         ),
         ("at 3 s: assistant ur cable puled", "line 2, .* mean: at 3 s: assistant ur cable pulled"),
         ("at 3 s: camera bump", "line 2, .* Did you mean: at 3 s: tracker bump"),
+        # A number in another unit is not that number of the right one.
+        (
+            "at 3 s: camera hand 5 cm",
+            r"line 2, .*expected 'mm', got 'cm'\. (?!.*Did you mean).*Write for example: ",
+        ),
         ("at 3 s: room loosen screw 1", "line 2, .* expected 'marker', got 'screw'. Write for example: "),
         (
             "robot drop 5 %",
