@@ -41,7 +41,9 @@ if TYPE_CHECKING:
     from lark import Lark
     from lark.exceptions import UnexpectedInput
 
-OTHER_UNITS = frozenset("um cm m km ms min h rad mrad kN".split())  # in which a number may be meant
+OTHER_UNITS = frozenset(
+    ["um", "cm", "m", "km", "ms", "min", "h", "rad", "mrad", "kN"]
+)  # in which a number may be meant
 MOST_TRIED = 4  # similar lines, each of which is parsed
 LEAST_ALIKE = 0.6  # similarity of line and suggestion; below, an example helps more
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
