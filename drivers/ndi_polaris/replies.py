@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import struct
+from functools import lru_cache
 from typing import NamedTuple
 
 from drivers.ndi_polaris.errors import MalformedReply
@@ -22,6 +23,8 @@ FRAME_OPTIONS = (
     | ReplyOption.OUT_OF_VOLUME
     | ReplyOption.STRAY_PASSIVE
 )
+# Plain numbers: joining flags takes a microsecond each.
+_WITH_INFORMATION, _WITH_STRAYS = ReplyOption.TOOL_INFORMATION.value, ReplyOption.STRAY_PASSIVE.value
 LEAST_USED = 3  # markers of a pose: a unit that states fewer has another order of the digits
 NORM_TOLERANCE = 1e-2  # rounding in TX changes the norm by 1e-4; beyond this it is not a rotation
 FARTHEST_MM = 9999.99  # limit of the unit's text format
@@ -89,32 +92,33 @@ def decode_bx(
 def _decode_bx_body(body: bytes, options: ReplyOption, first_marker_first: bool) -> TrackingReply:
     offset = 1
     handles = []
-    with_information = bool(options & ReplyOption.TOOL_INFORMATION)
+    with_information = options.value & _WITH_INFORMATION
+    pose: tuple[Quaternion | None, Vector3 | None, float | None]
     for _ in range(body[0]):
         number, status = body[offset], body[offset + 1]
         offset += 2
         if status == HandleStatus.VALID:
             q0, qx, qy, qz, tx, ty, tz, fit, port, frame = _BX_POSE.unpack_from(body, offset)
             offset += _BX_POSE.size
-            report = HandleReport(number, (q0, qx, qy, qz), (tx, ty, tz), fit, port, frame)
+            pose = (q0, qx, qy, qz), (tx, ty, tz), fit
         elif status == HandleStatus.MISSING:
             port, frame = _BX_STATUS_AND_FRAME.unpack_from(body, offset)
             offset += _BX_STATUS_AND_FRAME.size
-            report = HandleReport(number, port_status=port, frame=frame)
+            pose = None, None, None
         elif status == HandleStatus.DISABLED:  # no options apply
             handles.append(HandleReport(number))
             continue
         else:
             raise MalformedReply(f"BX: unknown status {status:02X} of handle {number:02X}", wire=body)
+        digits = ""
         if with_information:
             _, nibbles = _BX_INFORMATION.unpack_from(body, offset)
             offset += _BX_INFORMATION.size
-            digits = nibbles.hex().upper()
-            report = report._replace(marker_digits=digits if first_marker_first else digits[::-1])
-        handles.append(report)
+            digits = nibbles.hex() if first_marker_first else nibbles.hex()[::-1]
+        handles.append(HandleReport(number, *pose, port, frame, digits))
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
-    if options & ReplyOption.STRAY_PASSIVE:
+    if options.value & _WITH_STRAYS:
         positions, outside, offset = _unpack_bx_strays(body, offset)
     (system,) = _BX_SYSTEM_STATUS.unpack_from(body, offset)
     if offset + _BX_SYSTEM_STATUS.size != len(body):
@@ -148,13 +152,13 @@ def decode_tx(
     *records, tail = text[2:].split(ndi.LF)
     if len(records) != count:
         raise _malformed_error(f"TX announces {count} handles but sends {len(records)}", text)
-    with_information = bool(options & ReplyOption.TOOL_INFORMATION)
+    with_information = bool(options.value & _WITH_INFORMATION)
     handles = tuple(
         _parse_tx_handle(record, text, with_information, first_marker_first) for record in records
     )
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
-    if options & ReplyOption.STRAY_PASSIVE:
+    if options.value & _WITH_STRAYS:
         block, tail = tail[: -ndi.TX_SYSTEM_STATUS_DIGITS], tail[-ndi.TX_SYSTEM_STATUS_DIGITS :]
         positions, outside = _parse_tx_strays(block, text)
     if not _STATUS.fullmatch(tail):
@@ -266,15 +270,15 @@ def _make_tool_reading(name: str, report: HandleReport | None, frame: int, marke
     plausible = error_mm is not None and 0 <= error_mm <= FARTHEST_MM
     if rotation is None or not plausible or not _is_plausible_position(report.position_mm):
         return ToolReading(name, Validity.CORRUPT, None, None, None)
-    used = tuple(digit == str(MarkerState.USED.value) for digit in report.marker_digits[:markers])
-    return ToolReading(
-        name,
-        _report_validity(report, frame),
-        rotation,
-        report.position_mm,
-        error_mm,
-        used if sum(used) >= LEAST_USED else None,
-    )
+    used = _read_used(report.marker_digits, markers)
+    return ToolReading(name, _report_validity(report, frame), rotation, report.position_mm, error_mm, used)
+
+
+@lru_cache(maxsize=64)  # the same markers are used in most frames
+def _read_used(digits: str, markers: int) -> tuple[bool, ...] | None:
+    """Return which markers a pose was fitted to; None if the unit states fewer than that takes."""
+    used = tuple(digit == str(MarkerState.USED.value) for digit in digits[:markers])
+    return used if sum(used) >= LEAST_USED else None
 
 
 def _report_validity(report: HandleReport, frame: int) -> Validity:
