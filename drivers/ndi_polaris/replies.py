@@ -115,7 +115,9 @@ def _decode_bx_body(body: bytes, options: ReplyOption, first_marker_first: bool)
             _, nibbles = _BX_INFORMATION.unpack_from(body, offset)
             offset += _BX_INFORMATION.size
             digits = nibbles.hex() if first_marker_first else nibbles.hex()[::-1]
-        handles.append(HandleReport(number, *pose, port, frame, digits))
+        rotation, position, fit_error_mm = pose
+        report = HandleReport(number, rotation, position, fit_error_mm, port, frame, digits)
+        handles.append(report)
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
     if options.value & _WITH_STRAYS:
