@@ -1,6 +1,6 @@
 """Fault script of a simulated theatre, as far as a run reads it: its steps, its times and its lines.
 
-What a line does, only the theatre knows.
+What a line does, only the theatre knows; its command reads the script before a case starts.
 """
 
 from __future__ import annotations
@@ -9,12 +9,40 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
+from procedures.engine.errors import CommandRefused
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.errors import EXIT_DONE, EXIT_USAGE
+from ronna_hw.host.child_process import command, run_command
+from ronna_hw.near_names import find_near
 
+FAULT_COMMAND = "ronna-sim fault"
+READ_TIMEOUT_S = 60.0  # host time; it takes a second
 LARGEST_SCRIPT_BYTES = 1_000_000  # more than the theatre itself takes
 _STEP_OF_LINE = re.compile(r"\s*(?:when|since)\s+step\s*==\s*(?P<step>\w+)(?P<trajectory>:[\w.-]+)?")
 _TIME_OF_LINE = re.compile(r"\s*at\s+(?P<at_s>\d+(?:\.\d*)?)\s*s\b")
+
+
+class UnreadableFault(UsageMistake):
+    """The theatre cannot read a fault of the command line; the error has the theatre's code and words."""
+
+    action = ""  # the theatre's words end with it
+
+    def __init__(self, message: str) -> None:
+        self.code, _, what = message.strip().partition(": ")
+        super().__init__(what)
+
+
+def check_fault_lines(path: Path) -> None:
+    """Raise the theatre's own error, SIM-003, if the fault script contains a line that it cannot read.
+
+    PRO-013 if the command that reads it fails otherwise, PRC-001 if it hangs.
+    """
+    ended = run_command(FAULT_COMMAND, command("sim.cli", "fault", "--check", str(path)), READ_TIMEOUT_S)
+    if ended.returncode == EXIT_USAGE:
+        raise UnreadableFault(ended.stderr)
+    if ended.returncode != EXIT_DONE:
+        raise CommandRefused(FAULT_COMMAND, ended.stderr, ended.returncode)
 
 
 def check_fault_script(path: Path, step_names: Collection[str], once: Collection[str] = ()) -> None:
@@ -25,17 +53,19 @@ def check_fault_script(path: Path, step_names: Collection[str], once: Collection
     if not path.is_file():
         raise UsageMistake(f"there is no fault script {path}", action="Give the path of a file.")
     found = [(number, match) for number, line in _lines(path) if (match := _STEP_OF_LINE.match(line))]
-    wrong = []
+    wrong, nearest = [], dict[str, None]()
     for number, match in found:
         step, trajectory = match["step"], match["trajectory"]
         if step not in step_names:
             wrong.append(f"line {number}: there is no step {step!r}")
+            nearest |= dict.fromkeys(find_near(step, step_names))
         elif step in once and trajectory:
             wrong.append(f"line {number}: {step!r} runs once for all trajectories, not for {trajectory[1:]}")
     if wrong:
+        others = ", ".join(name for name in step_names if name not in nearest)
         raise UsageMistake(
             f"{path.name}, {'; '.join(wrong)}",
-            expected=f"one of {', '.join(step_names)}",
+            expected=f"{', '.join(nearest)}, or another of {others}" if nearest else f"one of {others}",
             action="Correct the fault script; ronna-procedure steps lists the steps of a case, with the "
             "--fiducials and --dual that it has.",
         )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from procedures.engine.methods import CaseMethods, HeadStart
 from procedures.journal.free_space import NO_DISK, describe_shortage
-from procedures.runs.fault_script import check_fault_script
+from procedures.runs.fault_script import check_fault_lines, check_fault_script
 from procedures.runs.request import FREE, PATIENT_SCENES, CaseProcedure
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.messages import on_terminal, tell
@@ -254,6 +254,7 @@ def check_case(request: RunRequest, out: Path) -> None:
         once = {step.name for step in steps if step.scope is Scope.CASE}
         once -= {step.name for step in steps if step.scope is not Scope.CASE}
         check_fault_script(request.faults, tuple(dict.fromkeys(step.name for step in steps)), once)
+        check_fault_lines(request.faults)
 
 
 def require_space(out: Path) -> None:

@@ -380,10 +380,16 @@ def fault(
     ] = None,
     control: ControlIfGiven = None,
     clear: Annotated[bool, typer.Option("--clear", help="End this fault; without one, all.")] = False,
+    check: Annotated[
+        Path | None, typer.Option(help="Only read this fault script, and refuse its wrong lines.")
+    ] = None,
 ) -> None:
     """Inject a fault into a running theatre or simulator, or clear it; without one, list all faults."""
-    from sim.world.faults import FAULT_KINDS
+    from sim.world.faults import FAULT_KINDS, read_faults
 
+    if check is not None:
+        read_faults(check, None)
+        return
     if line is None and not clear:
         rows = [(kind.usage, "once" if kind.momentary else "lasts", kind.meaning) for kind in FAULT_KINDS]
         print_table("Faults that can be injected", ("fault", "", "effect"), rows)

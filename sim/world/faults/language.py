@@ -45,8 +45,13 @@ OTHER_UNITS = frozenset(
     ["um", "cm", "m", "km", "ms", "min", "h", "rad", "mrad", "kN"]
 )  # in which a number may be meant
 MOST_TRIED = 4  # similar lines, each of which is parsed
+MOST_ADDED = 6  # words missing from a line: units, and two of three numbers
+DIRECTION = ("x", "y", "z")  # of three numbers, as in `shift head 0 2 0 mm`
 LEAST_ALIKE = 0.6  # similarity of line and suggestion; below, an example helps more
+_NUMBERED = ("cart", "marker")  # whose number follows: it is none of a direction
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_NUMBERS_BEFORE = re.compile(r"(?P<word>\S+)?\s+(?P<numbers>[+-]?[0-9.]+(\s+[+-]?[0-9.]+)*)\s*$")
+_WORDS = re.compile(r"[A-Za-z_]+(\s+[A-Za-z_]+)*")
 _TRIGGER = r"\s*(at|when|since|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:"  # a step may name its trajectory
 _BEGINNING = re.compile(rf"({_TRIGGER})?\s*(assistant\b\s*)?")
 
@@ -170,8 +175,11 @@ def has_beginning(line: str) -> bool:
     return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 
 
-def read_faults(path: Path, scene: Scene, devices: Sequence[str] | None = None) -> str:
-    """Read a script and check it against the scene and present devices, by default all; raises SIM-003."""
+def read_faults(path: Path, scene: Scene | None, devices: Sequence[str] | None = None) -> str:
+    """Read a script and check it against the scene and present devices, by default all; raises SIM-003.
+
+    Without a scene only the lines themselves are checked.
+    """
     try:
         text = read_bounded(path, LONGEST_SCRIPT).decode()
     except InputRefused as error:
@@ -181,7 +189,9 @@ def read_faults(path: Path, scene: Scene, devices: Sequence[str] | None = None) 
     except UnicodeDecodeError as error:
         raise BadFaultScript(f"{path.name} is not UTF-8 text: {error.reason}") from error
     try:
-        check_faults(parse_faults(text), scene, devices)
+        faults = parse_faults(text)
+        if scene is not None:
+            check_faults(faults, scene, devices)
     except BadFaultScript as error:
         what = f"{path.name}, {error.what}"
         raise BadFaultScript(what, limit=error.limit, action=error.advice) from error
@@ -289,6 +299,61 @@ def _refuse(mistakes: list[Mistake]) -> None:
 
 def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool) -> Mistake:
     """Describe where the parser stopped, and search for the intended line only if `advises` is set."""
+    names, column, word_began, ended = _locate(error, line)
+    got = "the end of the line" if ended else repr(line[word_began:].split()[0])
+    words = sorted(
+        {READABLE.get(name) or repr(_build_grammar().get_terminal(name).pattern.value) for name in names}
+    )
+    if not ended and word_began < column - 1:
+        words = [repr(line[word_began : column - 1])]
+    words = words or ["the end of the line"]
+    typed = line.removeprefix(BEGINS_NOW)
+    fault = _strip_beginning(typed)
+    device = next((kind.device for kind in FAULT_KINDS if fault.split()[:1] == [kind.device]), None)
+    near: NearWord | None = None
+    if len(words) > MOST_LISTED:  # only after a device
+        words = [f"a fault of the {device}"]
+        if not ended:
+            got = f"{fault.split(maxsplit=1)[1].partition(' for ')[0]!r}: it has no such fault"
+            near = _find_named_word(typed, device)
+    place = f"line {number}, column {column - len(line) + len(typed)}"
+    if not has_beginning(line) and _is_valid_line(f"{BEGINS_NOW}{line}"):
+        what = f"{place}: expected 'at', 'when' or 'since', to say when the fault begins, got {got}"
+        return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
+    lacking = _count_direction(line[:word_began]) if words == [READABLE["SIGNED"]] else None
+    if lacking is not None:
+        words = [f"three numbers, for {join_choices(DIRECTION).replace(' or ', ' and ')}"]
+        got = f"{'one' if lacking == 1 else 'two'} before {got}"
+    what = f"{place}: expected {join_choices(words)}, got {got}"
+    if not advises:
+        return Mistake(what)
+    if (completed := _add_missing_words(line)) is not None:
+        completed = completed.removeprefix(BEGINS_NOW)
+        return Mistake(what, completed) if lacking is not None else Mistake(what, meant=completed)
+    wrong_argument = all(word in READABLE.values() for word in words)  # the parser's words say it best
+    intended = None if wrong_argument else _find_intended_line(typed, device)
+    if intended is None and near is not None:
+        return Mistake(f"{what}; its nearest word is {near.word}", near.line)
+    return Mistake(what, _find_nearest_example(typed, device), intended)
+
+
+class NearWord(NamedTuple):
+    """Word of a device's faults that is like the typed ones, and a line with it."""
+
+    word: str
+    line: str
+
+
+class Stop(NamedTuple):
+    """Where the parser stopped: the terminals allowed there, the column, and the start of its word."""
+
+    names: set[str]
+    column: int
+    word_began: int
+    ended: bool
+
+
+def _locate(error: UnexpectedInput, line: str) -> Stop:
     from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
     names: set[str] = set()
@@ -301,31 +366,62 @@ def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advi
     word_began = column - 1  # a unit that is spelt out begins like a unit: "sec"
     while not ended and word_began > 0 and line[word_began - 1 : column].isalpha():
         word_began -= 1
-    got = "the end of the line" if ended else repr(line[word_began:].split()[0])
-    names -= {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}
-    words = sorted(
-        {READABLE.get(name) or repr(_build_grammar().get_terminal(name).pattern.value) for name in names}
-    )
-    if not ended and word_began < column - 1:
-        words = [repr(line[word_began : column - 1])]
-    words = words or ["the end of the line"]
-    typed = line.removeprefix(BEGINS_NOW)
-    fault = _strip_beginning(typed)
-    device = next((kind.device for kind in FAULT_KINDS if fault.split()[:1] == [kind.device]), None)
-    if len(words) > MOST_LISTED:  # only after a device
-        words = [f"a fault of the {device}"]
-        if not ended:
-            got = f"{fault.split(maxsplit=1)[1].partition(' for ')[0]!r}: it has no such fault"
-    place = f"line {number}, column {column - len(line) + len(typed)}"
-    if not has_beginning(line) and _is_valid_line(f"{BEGINS_NOW}{line}"):
-        what = f"{place}: expected 'at', 'when' or 'since', to say when the fault begins, got {got}"
-        return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
-    what = f"{place}: expected {join_choices(words)}, got {got}"
-    if not advises:
-        return Mistake(what)
-    wrong_argument = all(word in READABLE.values() for word in words)  # the parser's words say it best
-    intended = None if wrong_argument else _find_intended_line(typed, device)
-    return Mistake(what, _find_nearest_example(typed, device), intended)
+    return Stop(names - {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}, column, word_began, ended)
+
+
+def _count_direction(before: str) -> int | None:
+    """Return how many numbers of a direction end this beginning of a line, None if none does."""
+    found = _NUMBERS_BEFORE.search(before)
+    count = 0 if found is None else len(found["numbers"].split()) - (found["word"] in _NUMBERED)
+    return count if 0 < count < len(DIRECTION) else None
+
+
+def _add_missing_words(line: str) -> str | None:
+    """Return the line with the units and the zeros that it lacks, or None if it is wrong otherwise too."""
+    from lark.exceptions import UnexpectedInput
+
+    for _ in range(MOST_ADDED):
+        try:
+            _build_grammar().parse(line)
+        except UnexpectedInput as error:
+            names, _, place, _ = _locate(error, line)
+            before, after = line[:place].rstrip(), line[place:]
+            if len(names) != 1 or not before[-1:].isdigit():
+                return None
+            (name,) = names
+            word = _build_grammar().get_terminal(name).pattern.value
+            if name == "SIGNED" and _count_direction(before) is not None:
+                word = "0"
+            elif word not in LARGEST:
+                return None
+            line = f"{before} {word}{'' if after[:1] in ('', ':') else ' '}{after}"
+        else:
+            return line
+    return None
+
+
+def _find_named_word(line: str, device: str | None) -> NearWord | None:
+    """Return the name most like the words after the device, such as that of a body to be moved."""
+    fault = _strip_beginning(line)
+    typed = fault.split(maxsplit=1)[1]
+    by_word = {
+        word: kind
+        for kind in reversed(FAULT_KINDS)  # the first one that has the word
+        if kind.device == device and "NAME" in kind.phrase.split()
+        for word in kind.choices
+    }
+    words = _WORDS.match(typed.partition(" for ")[0])
+    near = find_near(words[0], by_word, least_alike=LEAST_ALIKE) if words else []
+    if not words or not near:
+        return None
+    kind = by_word[near[0]]
+    beginning = line[: len(line) - len(fault)]
+    renamed = f"{kind.device} {kind.phrase.partition(' NAME')[0]} {near[0]}{typed[words.end() :]}"
+    whole = f"{beginning}{renamed}"
+    completed = _add_missing_words(whole if has_beginning(whole) else f"{BEGINS_NOW}{whole}")
+    if completed is not None:
+        return NearWord(near[0], completed.removeprefix(BEGINS_NOW))
+    return NearWord(near[0], kind.example.replace(f" {kind.choices[0]} ", f" {near[0]} ", 1))
 
 
 def _is_valid_line(line: str) -> bool:

@@ -23,18 +23,18 @@ def test_a_read_only_output_folder_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("option", "content", "said"),
+    ("option", "content", "code", "said"),
     [
-        ("--faults", "at 3 s: robot dorp 2 %\n", "Did you mean: at 3 s: robot drop 2 %?"),
-        ("--scene", "schema = 1\nname = 'mine'\n", "head: is missing"),
+        ("--faults", "at 3 s: robot dorp 2 %\n", "SIM-003", "Did you mean: at 3 s: robot drop 2 %?"),
+        ("--scene", "schema = 1\nname = 'mine'\n", "PRO-013", "head: is missing"),
     ],
 )
 def test_a_refused_theatre_leaves_no_run_and_gives_the_reason(
-    tmp_path: Path, option: str, content: str, said: str
+    tmp_path: Path, option: str, content: str, code: str, said: str
 ) -> None:
     (path := tmp_path / "given.toml").write_text(content)
     words = ("run", "--sim", option, path, "--out", tmp_path / "new" / "runs")
-    assert said in _refused(in_this_process(ronna_procedure, *words), "PRO-013", EXIT_USAGE)
+    assert said in _refused(in_this_process(ronna_procedure, *words), code, EXIT_USAGE)
     assert list(tmp_path.iterdir()) == [path]
 
 

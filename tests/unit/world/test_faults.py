@@ -86,6 +86,36 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
             "at 3 s: camera hand 5 cm",
             r"line 2, .*expected 'mm', got 'cm'\. (?!.*Did you mean).*Write for example: ",
         ),
+        # A direction takes three numbers, and the example keeps the line's own words.
+        (
+            "at 3 s: room shift head 2 mm for 4 s",
+            "line 2, column 27: expected three numbers, for x, y and z, got one before 'mm'. "
+            "Write for example: at 3 s: room shift head 2 0 0 mm for 4 s. ",
+        ),
+        (
+            "at 3 s: room loosen marker 2 1.5 -1",
+            "line 2, column 36: expected three numbers, for x, y and z, got two before the end of the line. "
+            "Write for example: at 3 s: room loosen marker 2 1.5 -1 0 mm. ",
+        ),
+        ("at 3 s: room loosen marker 2 mm", "line 2, column 30: expected a number, got 'mm'. "),
+        (
+            "since step == positioning:T1 after 5: room shift head 0 2 0 mm",
+            "line 2, column 37: expected 's', got ':'. "
+            "Did you mean: since step == positioning:T1 after 5 s: room shift head 0 2 0 mm",
+        ),
+        (
+            "at 3: robot drop 5 % for 2",
+            "line 2, column 5: expected 's', got ':'. Did you mean: at 3 s: robot drop 5 % for 2 s",
+        ),
+        (
+            "at 3 s: room slip head 2 mm",
+            "line 2, column 14: .* it has no such fault; its nearest word is slipping_head. "
+            "Write for example: at 3 s: room shift slipping_head 2 0 0 mm. ",
+        ),
+        (
+            "at 3 s: room slip head",
+            "line 2, column 14: .* Write for example: at 12.5 s: room shift slipping_head -1.5 ",
+        ),
         ("at 3 s: room loosen screw 1", "line 2, .* expected 'marker', got 'screw'. Write for example: "),
         (
             "robot drop 5 %",
