@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import groupby
 
 from console.panels.html import head_row, table_of, tag, text
@@ -188,14 +189,18 @@ def _render_place(row: StepRow) -> str:
 def devices(view: CaseView) -> str:
     if not view.devices:
         return tag("p", "No device connected yet.", class_="dim")
-    body = "".join(_render_row(name, row) for name, row in view.devices.items())
+    body = "".join(
+        _render_row(name, row if not view.outcome else replace(row, age_s=None))  # ages end with the case
+        for name, row in view.devices.items()
+    )
     return _render_link(view) + table_of(head_row(*HEAD), body)
 
 
 def devices_key(view: CaseView) -> object:
-    return tuple(
-        (name, row.seen, _format_age(row), row.rate) for name, row in view.devices.items()
-    ), view.link
+    return tuple((name, row.seen, _format_age(row), row.rate) for name, row in view.devices.items()), (
+        view.link,
+        view.outcome,
+    )
 
 
 def mode(view: CaseView) -> str:
@@ -217,7 +222,7 @@ def _render_row(name: str, row: DeviceRow) -> str:
     age = tag(
         "td",
         _format_age(row) + (" old" if is_old else "") + validity_text,
-        class_="num warn" if is_old or validity_text else "num",
+        class_="num age warn" if is_old or validity_text else "num age",
         data_head="reading",
     )
     rate = tag("td", _format_rate(row.rate) or "-", class_="num", data_head="rate")
@@ -257,9 +262,11 @@ def _render_link(view: CaseView) -> str:
     rate = f" at {hz}" if (hz := _format_rate(view.link_rate)) else ""
     late = "bad" if link.late or link.lost or link.rejected else ""
     counts = f"{link.late} late, {link.lost} lost, {link.rejected} rejected"
+    ago = f"{view.theatre_time_s - view.link_said_s:.0f} s ago"
+    when = " at the end" if view.outcome else tag("span", f" {ago}", class_="age")
     return tag(
         "p",
-        f"Robot link {view.theatre_time_s - view.link_said_s:.0f} s ago: {link.cycles} cycles{rate}, "
+        f"Robot link{when}: {link.cycles} cycles{rate}, "
         + tag("span", counts, class_=late)
         + f"; turnaround {link.turnaround_median_us:.0f} µs median, {link.turnaround_p99_us:.0f} µs p99",
     )

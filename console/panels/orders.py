@@ -147,17 +147,17 @@ class OrderPanel:
             self._last_step.set_options(options, value=kept_step)
 
 
-def add_stop_button(give: Give) -> None:
-    """Add the stop button, which is always visible and enabled for operators."""
+def add_stop_button(give: Give) -> ui.button:
+    """Add the stop button, which is visible to operators always, and enabled until the case is closed."""
 
     async def stop() -> None:
         await give({"kind": "stop"})
 
     with ui.element("div").classes("stopbox"):
-        ui.button("Stop motion", on_click=stop, color=None).classes("stop").props(
-            "no-caps unelevated data-do=stop"
-        ).tooltip(NOT_EMERGENCY)
+        shown = ui.button("Stop motion", on_click=stop, color=None).classes("stop")
+        shown.props("no-caps unelevated data-do=stop").tooltip(NOT_EMERGENCY)
         html('<div class="stopnote">not an emergency stop: for that, press the red button</div>')
+    return shown
 
 
 class QuestionPanel:
@@ -330,7 +330,9 @@ def _time_limit(question: Questioned, view: CaseView) -> str:
     asked = datetime.fromisoformat(view.asked_at)
     remaining_s = max(0.0, question.timeout_s - (datetime.now(UTC) - asked).total_seconds())
     return tag(
-        "p", f"{remaining_s:.0f} s left; no answer means “{text(question.answers[-1])}”.", class_="dim num"
+        "p",
+        f"{remaining_s:.0f} s left; no answer means “{text(question.answers[-1])}”.",
+        class_="dim num age",
     )
 
 

@@ -113,7 +113,8 @@ def live_pair(hub: Hub) -> str:
     is_old = age_s > LIVE_OLD_S
     words = f"taken {age_s:.0f} s ago" if is_old else "now"
     image = f'<img src="/picture/pair?n={hub.pairs}" alt="Both cameras of the stereo head, {words}">'
-    caption = tag("figcaption", f"stereo head, {words}", class_="warn" if is_old else "ok")
+    when = tag("span", f", {words}", class_="age")
+    caption = tag("figcaption", f"stereo head{when}", class_="warn" if is_old else "ok")
     return tag("figure", image + caption, class_="live old" if is_old else "live")
 
 

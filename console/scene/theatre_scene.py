@@ -132,9 +132,11 @@ def _age_html(arm: str, reported: ReportedPose, view: CaseView) -> str:
     whose = f"pose of {text(arm)}" if several else "pose"
     if arm not in view.bodies and several:
         return tag("div", f"{text(arm)} is not drawn: where it stands is not known yet", class_="dim")
+    if view.outcome:  # nothing will make it newer, and its age would stand still
+        return tag("div", f"{whose} as last read before the case was closed", class_="dim")
     if age_s > OLD_S:
-        return tag("div", f"{whose.upper()} IS {age_s:.1f} s OLD, shown grey", class_="warn num")
-    return tag("div", f"{whose} is {age_s:.2f} s old", class_="num")
+        return tag("div", f"{whose.upper()} IS {age_s:.1f} s OLD, shown grey", class_="age warn num")
+    return tag("div", f"{whose} is {age_s:.2f} s old", class_="age num")
 
 
 def _current_distances(view: CaseView) -> list[ArmsApart]:

@@ -5,6 +5,9 @@
   const MARGIN_PX = 8;
   const LOST = "THE CONSOLE IS NOT RESPONDING. The data shown is out of date.";
   const CLOSED = "The case and its console are closed. ronna-console opens it again.";
+  const CONTROLS = [".stopbox", ".seatbox", ".orders", ".answerbar"].flatMap(
+    place => ["button", "input"].map(control => `${place} ${control}`),
+  ).join();
   let beat = "", changed = performance.now();
   setInterval(() => {
     const clock = document.getElementById("clock");
@@ -16,6 +19,14 @@
     lost.hidden = !gone;
     lost.textContent = closed ? CLOSED : LOST;
     lost.classList.toggle("calm", closed);
+    // A page that cannot reach its console: no age grows on it any more, and no click of it arrives.
+    const cut = gone && (closed || !window.socket?.connected);
+    document.body.classList.toggle("cut", cut);
+    for (const one of document.querySelectorAll(cut ? CONTROLS : "[data-cut]")) {
+      if (cut && one.disabled) continue;
+      one.disabled = cut;
+      one.toggleAttribute("data-cut", cut);
+    }
     document.body.classList.toggle("past", gone || document.querySelector(".frozen") !== null);
   }, 250);
   // The head stays over the page: what is asked, or focused by Tab, must not lie under it.

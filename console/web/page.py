@@ -105,8 +105,7 @@ class CasePage:
         with ui.element("header").classes("head"):
             with ui.element("div").classes("headrow"):
                 self._add(banner, lambda view: view.banner)
-                if may_operate:
-                    add_stop_button(self._give_order)
+                self._stop = add_stop_button(self._give_order) if may_operate else None
             with ui.element("div").classes("headmore"):
                 self._add(
                     case_line,
@@ -272,7 +271,10 @@ class CasePage:
         is_latest = view.number == self._hub.view.number
         mine, frozen = self._is_mine, self._hub.frozen if is_latest else ""  # a past moment stands still
         self._question.show(view, is_mine=mine and not frozen, has_seat=view.seat is not None)
-        self._seat.show(view, is_mine=mine, orders=not frozen and self._hub.live)
+        may_order = self._hub.live and not frozen and not self._hub.view.outcome
+        self._seat.show(view, is_mine=mine, orders=may_order)
+        if self._stop is not None:
+            self._stop.set_enabled(not self._hub.view.outcome)  # else also where orders are refused
         may_answer = self._orders is not None and not frozen
         self._advice.set_content(advice(view, is_mine=mine, may_operate=may_answer) if not frozen else "")
         if self._orders is not None:

@@ -85,6 +85,11 @@ def test_a_killed_console_is_shown_in_a_banner_over_the_past(start: OperatedCase
     enter(page, case.addresses["url"] + "&low")
     os.kill(case.console_pid, signal.SIGKILL)
     page.wait_for_selector("#lost:not([hidden])")
+    page.wait_for_function("document.body.classList.contains('cut')")
+    for shown in (page.locator("[data-do=stop]"), page.locator("[data-do=claim]")):
+        assert shown.is_visible()
+        assert shown.is_disabled()
+    assert not [one for one in page.locator(".age").all() if one.is_visible()]
     assert "past" in page.evaluate("document.body.className")
     page.wait_for_selector("#popup[aria-hidden=false]", state="attached")
     assert not page.locator("#popup").is_visible()

@@ -13,7 +13,7 @@ import pytest
 from case_events import question
 from skin_case import registered_by_surface, scanned_surface, skin_in_ct
 
-from console.panels.case_state import advice, banner, chart, devices, mode, seat_line
+from console.panels.case_state import advice, banner, chart, devices, devices_key, mode, seat_line
 from console.panels.question import question_evidence, question_heading, question_pictures, question_words
 from console.panels.results import (
     TAIL_BYTES,
@@ -29,7 +29,15 @@ from console.panels.results import (
 from console.panels.skin_scan import skin_scan
 from console.scene.scanned_skin import shown_scan
 from procedures.engine.case_view import CaseView, DeviceRow, Notice, StepRow
-from procedures.engine.events import DeviceFact, DeviceState, ExpectedError, ScanProgress, Seat, Waiting
+from procedures.engine.events import (
+    DeviceFact,
+    DeviceState,
+    ExpectedError,
+    LinkHealth,
+    ScanProgress,
+    Seat,
+    Waiting,
+)
 from procedures.imaging.drawn_skin import DrawnSkin
 from procedures.operator.question import Evidence, Identity, Picture, PredictedError
 from procedures.reporting.case_figures import CaseFigures
@@ -78,6 +86,18 @@ def test_a_stale_reading_and_a_fault_are_shown_in_words() -> None:
     shown = devices(CaseView(devices={"arm": DeviceRow(seen, 7.25)}))
     for words in ("RSI-010: stopped", "7.2 s old", "fault"):
         assert words in shown
+
+
+def test_ages_end_with_the_case() -> None:
+    row = DeviceRow(DeviceState(device="arm", state="closed"), 0.1)
+    link = LinkHealth(cycles=9, late=0, lost=0, rejected=0, turnaround_median_us=1.0, turnaround_p99_us=2.0)
+    under_way = CaseView(theatre_time_s=5.0, devices={"arm": row}, link=link)
+    closed = replace(under_way, outcome="done")
+    for words in ("0.1 s", "5 s ago"):
+        assert words in devices(under_way)
+        assert words not in devices(closed)
+    assert "Robot link at the end: 9 cycles" in devices(closed)
+    assert devices_key(under_way) != devices_key(closed)
 
 
 def test_facts_reported_by_a_controller_are_shown_and_those_that_forbid_motion_are_marked() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import reduce
 
 from case_events import MOMENT, NAMES, ORDER, events_of, question, view_after
@@ -88,7 +89,8 @@ def test_the_health_of_the_robot_link_is_shown_with_its_age() -> None:
         cycles=100, late=0, lost=0, rejected=0, turnaround_median_us=20.0, turnaround_p99_us=90.0
     )
     seen = DeviceState(device="arm", state="fault")
-    assert "Robot link 42 s ago: 100 cycles, " in devices(view_at((3.0, health), (45.0, seen)))
+    shown = re.sub(r"<[^>]+>", "", devices(view_at((3.0, health), (45.0, seen))))
+    assert "Robot link 42 s ago: 100 cycles, " in shown
     again = health.model_copy(update={"cycles": 1100})
     assert "1100 cycles at 20 Hz, " in devices(view_at((3.0, health), (45.0, seen), (53.0, again)))
 

@@ -28,6 +28,7 @@ from procedures.engine.case_view import CaseView, ReportedPose
 from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose, ScanProgress
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.reporting.case_figures import CaseFigures, TrajectoryFigure
+from procedures.runs.orders import SentOrder
 from ronna_hw.frames import Frame, Transform
 
 
@@ -311,3 +312,32 @@ def test_the_theatre_comes_with_the_page_and_waits_for_no_connection(tmp_path: P
         return {body.name for scene in scenes for body in scene.objects.values()}
 
     assert {"column", "clamp"} <= on_a_page(drawn)
+
+
+def test_on_the_page_of_a_closed_case_no_age_stands_and_neither_stop_nor_the_seat_is_offered(
+    tmp_path: Path,
+) -> None:
+    async def send(_order: SentOrder) -> None:
+        """Take the order."""
+
+    async def shown(view: CaseView) -> tuple[bool, bool, str]:
+        hub = Hub(tmp_path)
+        hub.connect(send)
+        hub.show(view)
+        session = Session(SessionRole.OPERATOR, "session-1")
+        CasePage(hub, LatestFigures(hub), LogTail(tmp_path), session, low=True).build()
+        elements = [*context.client.elements.values()]
+        stop, claim = (
+            next(one for one in elements if one.props.get("data-do") == name) for name in ("stop", "claim")
+        )
+        words = "".join(one.content for one in elements if isinstance(one, ui.html))
+        return isinstance(stop, ui.button) and stop.enabled, claim.visible, words
+
+    under_way = CaseView(bodies={"arm": BODIES}, poses={"arm": ReportedPose(NEAR, 0.0)})
+    may_stop, may_sit, words = on_a_page(lambda: shown(under_way))
+    assert (may_stop, may_sit) == (True, True)
+    assert "pose is 0.00 s old" in words
+    may_stop, may_sit, words = on_a_page(lambda: shown(replace(under_way, outcome="finished")))
+    assert (may_stop, may_sit) == (False, False)
+    assert "s old" not in words
+    assert "pose as last read before the case was closed" in words
