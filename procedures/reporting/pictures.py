@@ -38,6 +38,7 @@ PUBLISHED_MM = (
     ("RONNA G3, targets < 50 mm deep", 0.43, 0.532),
     ("RONNA G3, targets 50-120 mm deep", 0.88, 0.753),
 )
+ROSA_ON_SKIN_MM = 1.22  # mean on patients, registered on the skin: Lefranc 2014, on the same page
 # One palette for all drawings: each hue stands apart from white and from the page's dark ground by 3 : 1 or
 # more; text and grid take the ink of the page around them.
 BLUE, GREY, GREEN, AMBER, RED = "#2b7fa3", "#7d8a91", "#4d9070", "#c27a0c", "#d0453b"
@@ -128,19 +129,26 @@ class Canvas:
         )
 
 
-def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
-    """Draw the target errors in mm as bars, and apart from them published means beside our campaigns'."""
+def target_figure(rows: Sequence[TargetRow], *, simulated: bool, on_skin: bool = False) -> str:
+    """Draw the target errors in mm as bars, and apart from them published means beside our campaigns'.
+
+    Beside a case `on_skin`, without fiducials, stands the published mean of such cases alone.
+    """
     case: list[tuple[str, float, str]] = []
     for row in rows:
         if row.error_mm is not None:
             measured = "against the simulated truth" if simulated else "measured"
             case.append((f"{row.target}: {measured}", row.error_mm, OURS))
         case.append((f"{row.target}: predicted, rms", row.predicted.rms_mm, PREDICTED))
-    phantoms: list[tuple[str, float, str]] = []
-    for name, published_mm, campaign_mm in PUBLISHED_MM:
-        phantoms.append((f"{name}: published", published_mm, PUBLISHED))
-        phantoms.append((f"{name}: simulated with its CT error", campaign_mm, CAMPAIGN))
-    groups = {"This case, with its own CT, seating and arm": case, "Phantom studies, means": phantoms}
+    published: list[tuple[str, float, str]] = []
+    if on_skin:
+        published.append(("ROSA, registered on the skin: published", ROSA_ON_SKIN_MM, PUBLISHED))
+    else:
+        for name, published_mm, campaign_mm in PUBLISHED_MM:
+            published.append((f"{name}: published", published_mm, PUBLISHED))
+            published.append((f"{name}: simulated with its CT error", campaign_mm, CAMPAIGN))
+    studies = "Clinical study, mean" if on_skin else "Phantom studies, means"
+    groups = {"This case, with its own CT, seating and arm": case, studies: published}
     bars = [bar for group in groups.values() for bar in group]
     canvas = Canvas(
         HEADING_ROW * len(groups) + TARGET_ROW * len(bars) + 4, "Error of the needle tip at the targets, mm"

@@ -55,6 +55,14 @@ class SurfaceSection:
         return tuple(one for one in self.skin.excluded if one.share >= LEAST_TOLD)
 
     @property
+    def registered(self) -> str:
+        """By what the case is registered, to go on in a sentence; '' before that."""
+        if self.registration is None:
+            return ""
+        screws = self.registration.pairs
+        return "registered on the skin" + (f" and {format_count(screws, 'screw')}" if screws else "")
+
+    @property
     def carrying(self) -> str:
         """How the clamp carried a former registration, as a sentence; '' if it did not."""
         if self.registration is None or not self.registration.carried:

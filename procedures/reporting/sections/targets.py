@@ -11,6 +11,7 @@ from procedures.reporting.pictures import target_figure
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.tables import GuidePose, TargetTable
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.results import RegisteredBySurface
 from procedures.strategies.pose_values import PoseValues
 from ronna_hw.errors import RonnaError
 
@@ -25,6 +26,7 @@ class Targets:
     picture: str  # SVG
     parts_picture: str  # SVG, or "" where the truth of both parts is not known
     simulated: bool
+    on_skin: bool  # registered without fiducials
 
 
 def read_targets(reading: RunReading, table: TargetTable, *, simulated: bool) -> Targets | None:
@@ -32,13 +34,16 @@ def read_targets(reading: RunReading, table: TargetTable, *, simulated: bool) ->
     if not table.rows:
         return None
     worked = reading.valid_results(ReachedTarget)
+    fits = [one.result for one in reading.registrations]
+    on_skin = all(isinstance(fit, RegisteredBySurface) and not fit.pairs for fit in fits)
     return Targets(
         table,
         worked,
         tuple(_read_poses(reading, worked)),
-        target_figure(table.rows, simulated),
+        target_figure(table.rows, simulated=simulated, on_skin=on_skin),
         parts_figure(table.split) if table.split else "",
         simulated,
+        on_skin,
     )
 
 

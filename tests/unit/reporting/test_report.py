@@ -603,7 +603,31 @@ def test_a_registration_on_the_skin_is_reported_with_its_regions_and_without_sph
     )
     page = report_text(write_report(run, out=tmp_path / "out"))
     text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
-    for words in ("Registration on the skin", "left ear 1.500 it has probably moved"):
+    for words in (
+        "Predicted only, registered on the skin:",
+        "Registration on the skin",
+        "left ear 1.500 it has probably moved",
+    ):
         assert words in text
+    picture = (tmp_path / "out" / "report" / "targets.svg").read_text()
+    assert re.findall(r">([^<]*): published<", picture) == ["ROSA, registered on the skin"]
+    assert "RONNA, OCS" not in text + picture
     for heading in ("Spheres in the CT", "Registration, verified both ways"):
         assert heading not in text
+
+
+def test_a_registration_on_the_skin_and_screws_is_told_with_their_number(tmp_path: Path) -> None:
+    run = recorded_run(
+        tmp_path / "run",
+        (StepKey("ct_import"), IMPORTED),
+        (StepKey("skin_in_ct"), skin_in_ct()),
+        (StepKey("surface_registration"), registered_by_surface().model_copy(update={"pairs": 3})),
+        linked=True,
+    )
+    truth = Truth(
+        targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),)
+    )
+    path = write_report(run, truth=truth, out=tmp_path / "out")
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", report_text(path)))
+    assert "largest, over 1 target, registered on the skin and 3 screws" in text
+    assert "RONNA, OCS, 5 fiducials: published" in (tmp_path / "out" / "report" / "targets.svg").read_text()
