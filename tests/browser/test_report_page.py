@@ -20,6 +20,7 @@ from procedures.steps.clinical.path_check import ClosestApproach, MotionPreview
 from procedures.workcell import MountedTool
 
 A4_PX = 688  # 210 mm without the page's margins of 14 mm, at 96 pixels per inch
+STYLES = "(elements, rule) => elements.map(one => getComputedStyle(one)[rule])"
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
 
 
@@ -72,6 +73,18 @@ def test_folded_parts_meant_for_paper_are_printed_and_nothing_is_cut_off(page: A
     assert page.locator("details.paper table").first.bounding_box()["height"] > 0
     assert page.locator("details:not(.paper)").first.bounding_box() is None
     assert page.locator(".unprinted").is_visible()
+
+
+def test_on_paper_headings_stay_with_what_follows_and_short_tables_whole(page: Any, report: Path) -> None:
+    page.emulate_media(media="print")
+    page.goto(report.as_uri())
+    for selector, rule in (
+        ("h2, h3, summary, thead", "breakAfter"),
+        ("tr, .beside", "breakInside"),
+        ("tbody > tr:last-child", "breakBefore"),
+    ):
+        assert set(page.eval_on_selector_all(selector, STYLES, rule)) == {"avoid"}
+    assert set(page.eval_on_selector_all("thead", STYLES, "display")) == {"table-header-group"}
 
 
 def test_a_case_sheet_is_two_pages_of_paper_and_a_comparison_fits_the_width(
