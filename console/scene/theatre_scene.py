@@ -36,8 +36,8 @@ FRAMES_PER_S, LOW_FRAMES_PER_S = 20, 4
 HEAD_OPACITY, LOW_OPACITY = 0.55, 1.0  # translucency is expensive without graphics hardware
 LABEL = "color:#fff;background:rgba(0,0,0,.55);padding:0 4px;border-radius:3px;font:12px sans-serif"
 MAGNIFICATIONS = {1: "as measured", 10: "differences × 10", 30: "differences × 30"}
+SPHERES = ("spheres from the CT", CT)
 KEY = (
-    ("spheres from the CT", CT),
     ("tracker", TRACKER),
     ("stereo head", STEREO),
     ("plan", PATH),
@@ -72,7 +72,8 @@ class ScenePanel:
         if names != self._names:
             self._names = names
             self._build_views(names)
-        self._key.set_content(_key_html(tuple(view.bodies), has_skin=has_skin))
+        has_spheres = figures is not None and any(one.ct_mm is not None for one in figures.spheres)
+        self._key.set_content(_key_html(tuple(view.bodies), has_skin=has_skin, has_spheres=has_spheres))
         self._age.set_content(_ages_html(view) + self._clearance_html(view) + self._sight_html())
 
     def _build_views(self, names: tuple[str, ...]) -> None:
@@ -112,9 +113,10 @@ class ScenePanel:
         self._scene.magnified = int(self._size.value or 1)
 
 
-def _key_html(arms: tuple[str, ...], *, has_skin: bool) -> str:
+def _key_html(arms: tuple[str, ...], *, has_skin: bool, has_spheres: bool) -> str:
     names = [f"{arm} (as checked)" for arm in arms] or ["arm (as checked)"]
-    entries = (*((name, _colour_of(number)) for number, name in enumerate(names)), *KEY)
+    shown_spheres = (SPHERES,) if has_spheres else ()
+    entries = (*((name, _colour_of(number)) for number, name in enumerate(names)), *shown_spheres, *KEY)
     if has_skin:
         entries = ((f"skin: {SCANNED_SKIN}", COVERED), (f"skin: {MISSING_SKIN}", MISSING), *entries)
     shown = (tag("span", f'<i style="background:{colour}"></i>{text(words)}') for words, colour in entries)

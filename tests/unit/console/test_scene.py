@@ -22,12 +22,12 @@ from console.scene.bodies import closest_pair, rotation_along
 from console.scene.head_surface import corner_normals, encode_stl, find_series_folder, head_surface
 from console.scene.scanned_skin import COVERED, MISSING
 from console.scene.sights import is_hidden, volume_edges
-from console.scene.theatre_scene import TheatreScene
+from console.scene.theatre_scene import ScenePanel, TheatreScene
 from console.web.page import CasePage
 from procedures.engine.case_view import CaseView, ReportedPose
 from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose, ScanProgress
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.reporting.case_figures import CaseFigures, TrajectoryFigure
+from procedures.reporting.case_figures import CaseFigures, SphereFigure, TrajectoryFigure
 from procedures.runs.orders import SentOrder
 from ronna_hw.frames import Frame, Transform
 
@@ -341,3 +341,17 @@ def test_on_the_page_of_a_closed_case_no_age_stands_and_neither_stop_nor_the_sea
     assert (may_stop, may_sit) == (False, False)
     assert "s old" not in words
     assert "pose as last read before the case was closed" in words
+
+
+@pytest.mark.parametrize("has_spheres", [True, False])
+def test_the_key_names_spheres_only_in_a_case_that_has_them(*, has_spheres: bool) -> None:
+    sphere = SphereFigure(number=1, ct_mm=(0.0, 0.0, 0.0), tracker_mm=None, stereo_mm=None)
+
+    def words() -> str:
+        panel = ScenePanel(low=True)
+        panel.show(CaseView(), CaseFigures(spheres=(sphere,) if has_spheres else ()), heads=0)
+        return panel._key.content
+
+    shown = on_a_page(words)
+    assert ("spheres from the CT" in shown) is has_spheres
+    assert "stereo head" in shown
