@@ -69,6 +69,7 @@ def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) ->
             start=is_matched, scan=is_localized, registration=bool(names & REGISTERED)
         ),
         pictures=figures.pictures if is_localized else (),
+        margins_mm=figures.margins_mm if "plan_check" in names else {},
         cuts=figures.cuts if "plan_check" in names else (),
         course=figures.course if view.number == latest.number else "",
     )

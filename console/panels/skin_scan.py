@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,11 +11,17 @@ from procedures.engine.events import ExpectedError, ScanProgress
 from procedures.imaging.drawn_skin import MISSING, SCANNED, DrawnSkin
 from procedures.reporting.sections.surface import COVERAGE_CAPTION
 
+NO_MARGINS: Mapping[str, float] = {}
 COVERED_PX, MISSING_PX = "7", "4"  # of a place, in the picture's pixels: colour alone does not tell
 
 
-def skin_scan(scan: ScanProgress | None, skin: DrawnSkin | None) -> str:
-    """Show a scan, under way or whole, on the skin if that is known; nothing without a scan."""
+def skin_scan(
+    scan: ScanProgress | None, skin: DrawnSkin | None, margins_mm: Mapping[str, float] = NO_MARGINS
+) -> str:
+    """Show a scan, under way or whole, on the skin if that is known; nothing without a scan.
+
+    `margins_mm` are those of the plan, by target.
+    """
     if scan is None:
         return ""
     rows = (f"{scan.looks_done} of {scan.looks_planned}", f"{scan.covered_share:.0%}")
@@ -24,11 +30,12 @@ def skin_scan(scan: ScanProgress | None, skin: DrawnSkin | None) -> str:
             "tr",
             tag("th", text(one.target), scope="row")
             + tag("td", _tell_expected(one.rms_mm), class_="num big")
+            + tag("td", f"{margins_mm[one.target]:g}" if one.target in margins_mm else "-", class_="num")
             + tag("td", _draw_fall(one.rms_mm, scan.looks_planned)),
         )
         for one in scan.expected or (ExpectedError(target="all", rms_mm=(scan.predicted_error_mm,)),)
     )
-    head = head_row("target", "mm rms", "look by look")
+    head = head_row("target", "mm rms", "margin mm", "look by look")
     caption = "Expected error at the targets, without arm and guide"
     picture = "" if skin is None else _draw_scan(scan, skin)
     return picture + table(("looks taken", "planned skin covered"), (rows,)) + table_of(head, errors, caption)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -140,7 +140,9 @@ class CasePage:
             with ui.element("div").classes("right"):
                 self._section(
                     "Scan of the skin",
-                    lambda view: skin_scan(shown_scan(view, self._shown_figures), self._figures.skin),
+                    lambda view: skin_scan(
+                        shown_scan(view, self._shown_figures), self._figures.skin, self._margins_mm
+                    ),
                     lambda view: (self._update_figures(view), view.scan, self._figures.heads),
                     "skinbox",
                 )
@@ -206,6 +208,10 @@ class CasePage:
             self._figures_key = key
             self._shown_figures = figures_at(self._figures.latest, view, self._hub.view)
         return key
+
+    @property
+    def _margins_mm(self) -> Mapping[str, float]:
+        return {} if self._shown_figures is None else self._shown_figures.margins_mm
 
     async def _give_order(self, order: dict[str, Any]) -> None:
         """Give an order and show the engine's reply."""

@@ -5,8 +5,8 @@ Read from the folder of a run, running or finished; what does not exist yet, or 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
@@ -66,6 +66,7 @@ class CaseFigures:
     spheres: tuple[SphereFigure, ...] = ()
     trajectories: tuple[TrajectoryFigure, ...] = ()
     predictions: tuple[PredictedError, ...] = ()
+    margins_mm: Mapping[str, float] = field(default_factory=dict)  # of the plan, by target
     tables: tuple[Evidence, ...] = ()
     pictures: tuple[str, ...] = ()  # names in the folder `pictures`, from the stereo head
     cuts: tuple[str, ...] = ()  # and those of the planned trajectories in the CT
@@ -98,6 +99,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
         predictions=tuple(
             one.against(margins_mm[one.target]) for one in predictions if one.target in margins_mm
         ),
+        margins_mm=margins_mm,
         tables=(
             *(budget_table(one) for one in predictions),
             *([two_way_table(registered[-1].two_way)] if registered and registered[-1].pairs else ()),

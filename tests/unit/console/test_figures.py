@@ -34,6 +34,7 @@ FIGURES = CaseFigures(
     ),
     tables=(Evidence(title="budget", head=("source",), rows=()),),
     pictures=("stereo-T1-1.png",),
+    margins_mm={"T1": 1.5, "T2": 2.0},
 )
 
 
@@ -64,6 +65,11 @@ def test_a_prediction_appears_with_the_registration_of_its_target() -> None:
     first, every = after("registration:T1"), after("registration")
     assert [one.target for one in first.predictions] == ["T1"]
     assert every.predictions == FIGURES.predictions
+
+
+def test_margins_appear_with_the_plan() -> None:
+    assert after("ct_import").margins_mm == {}
+    assert after("ct_import", "plan_check").margins_mm == FIGURES.margins_mm
 
 
 def test_results_on_the_skin_appear_as_those_of_spheres_do() -> None:

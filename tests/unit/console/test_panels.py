@@ -251,7 +251,9 @@ GROWING = ScanProgress(
 def test_a_growing_scan_shows_its_places_on_the_skin_and_the_error_at_each_target_as_it_falls() -> None:
     ball = np.random.default_rng(1).normal(size=(2000, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
-    shown = skin_scan(GROWING, DrawnSkin(90.0 * ball, ball))
+    shown = skin_scan(GROWING, DrawnSkin(90.0 * ball, ball), {"T1": 1.5})
+    for words in ("margin mm", '<td class="num">1.5</td>', '<td class="num">-</td>'):
+        assert words in shown
     for words in ("3 of 18", "42%", "0.61", "T&lt;2&gt;", "too little scanned", "from 1.20 to 0.61"):
         assert words in shown
     for words in ("/picture/skin.png", "green: scanned", "pink: planned, not covered"):
