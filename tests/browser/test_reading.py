@@ -209,7 +209,7 @@ def test_a_scan_of_the_skin_grows_look_by_look_stays_after_a_reload_and_fits_a_p
     second_look = Event()
 
     def content() -> Iterator[EventContent]:
-        yield from (OPENED, StepState(step="relocalization:T1", state="begun"), scanned(None))
+        yield from (OPENED, StepState(step="surface_scan", state="begun"), scanned(None))
         while not second_look.wait(0.1):
             yield LINK
         yield scanned(None, 0.83)
@@ -225,6 +225,10 @@ def test_a_scan_of_the_skin_grows_look_by_look_stays_after_a_reload_and_fits_a_p
         assert low_contrast_by_scheme(page) == {}
         assert without_name(page) == []
         assert too_wide_by_screen(page) == {}
+        page.set_viewport_size({"width": 390, "height": 844})
+        step, scan, chart = (page.locator(one).bounding_box() for one in (".advicebox", ".skinbox", ".chart"))
+        assert 0 <= scan["y"] - (step["y"] + step["height"]) < 20
+        assert scan["y"] < chart["y"]
 
 
 def scanned(*rms_mm: float | None) -> Progress:
@@ -236,7 +240,7 @@ def scanned(*rms_mm: float | None) -> Progress:
         predicted_error_mm=rms_mm[-1],
         expected=(ExpectedError(target="T1", rms_mm=rms_mm),),
     )
-    return Progress(step="relocalization:T1", share=0.5, text="", scan=scan)
+    return Progress(step="surface_scan", share=0.5, text="", scan=scan)
 
 
 def test_without_webgl_the_panels_work_and_the_scene_explains_why_it_is_empty(
