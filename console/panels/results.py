@@ -91,8 +91,8 @@ def skin(surface: SurfaceSection) -> str:
             )
             for one in fit.changed
         ]
-        if not fit.side_proven:
-            parts.append(tag("p", "Left and right were compared by the operator: the skin cannot tell."))
+        if surface.told_sides:
+            parts.append(tag("p", text(surface.told_sides)))
     return "".join(parts)
 
 

@@ -29,6 +29,12 @@ class RunOptions:
         """Scene of the simulated theatre, or its scene file; empty in a configured theatre."""
         return "" if self.values.get("config") else str(self.values.get("scene") or "")
 
+    def is_scripted(self, *, simulated: bool) -> bool:
+        """Whether a script gives the answers that no name signs; False where the options are not known."""
+        if not self.values or not simulated or self.values.get("ask"):
+            return False
+        return not self.values.get("config") or bool(self.values.get("answers"))
+
     @property
     def faults(self) -> tuple[str, ...]:
         """Lines of the fault script with which the theatre was started."""

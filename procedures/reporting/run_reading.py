@@ -6,6 +6,7 @@ and does not prevent the rest from being shown.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from io import BytesIO
@@ -13,9 +14,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from procedures.engine.case import Case, Stored, parent_of_kind, results_of, stand_ins
+from procedures.journal.journal import Entry
 from procedures.journal.results import StepResult, parse_record
 from procedures.reporting.kept_truth import load_sealed_truth
 from procedures.reporting.outcome import Truth
+from procedures.reporting.run_options import read_options
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -97,6 +100,21 @@ class RunReading:
         """Return the latest valid and readable result of a step, or None."""
         found = self.valid_results(model)
         return found[-1].result if found else None
+
+    def was_scripted(self, topic: str, subject: str = "") -> bool:
+        """Whether a script, and nobody, gave the last answer on this topic, or to this question of it."""
+        answers = (
+            line
+            for line in self.run.journal
+            if line["entry"] == Entry.CONFIRMATION
+            and line.get("topic") == topic
+            and subject in ("", line.get("subject"))
+        )
+        last = deque(answers, maxlen=1)
+        options = read_options(self.folder)
+        return bool(last and not last[0].get("by")) and options.is_scripted(
+            simulated=bool(self.run.opened.get("banner"))
+        )
 
     def note(self, problem: str) -> None:
         """Add a note about something unreliable, without duplicates."""

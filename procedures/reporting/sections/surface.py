@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from procedures.operator.question import Topic
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart
 from procedures.steps.clinical.fiducial_localization import ExcludedSkin, SkinInCt
@@ -19,6 +20,7 @@ from procedures.steps.clinical.surface.skin_pictures import (
     colour_residuals,
     tell_coverage,
 )
+from procedures.steps.clinical.surface.surface_registration import SIDES_COMPARED
 from procedures.steps.clinical.surface.surface_start import READ_MM
 from ronna_hw.text import format_count
 
@@ -38,6 +40,7 @@ class SurfaceSection:
     start: SurfaceStart | None
     scan: ScannedSurface | None
     registration: RegisteredBySurface | None
+    sides_by_script: bool = False  # a script answered that left and right were compared
     full_colour_mm: float = FULL_COLOUR_MM
 
     def known_by(self, *, start: bool, scan: bool, registration: bool) -> Self:
@@ -72,6 +75,16 @@ class SurfaceSection:
             "The clamp carried a former registration to where the head is now, confirmed by "
             f"{looks}; points, misfit and the share left out are of the former scan."
         )
+
+    @property
+    def told_sides(self) -> str:
+        """Say who has told left from right where neither skin nor mark does, as a sentence; else ''."""
+        if self.registration is None or self.registration.side_proven:
+            return ""
+        compared = "the operator has compared them"
+        if self.sides_by_script:
+            compared = "a script answered that they were compared, and nobody has compared them"
+        return f"Left and right cannot be told apart by the skin alone: {compared}."
 
     @property
     def landmark_limits(self) -> str:
@@ -137,12 +150,16 @@ def read_surface(reading: RunReading) -> SurfaceSection | None:
     skin = reading.find(SkinInCt)
     if skin is None:
         return None
-    start = reading.find(SurfaceStart)
+    start, registration = reading.find(SurfaceStart), reading.find(RegisteredBySurface)
+    asked = () if registration is None else registration.trajectories
     return SurfaceSection(
         skin,
         None if isinstance(start, MeasuredHead) else start,
         reading.find(ScannedSurface),
-        reading.find(RegisteredBySurface),
+        registration,
+        sides_by_script=any(
+            reading.was_scripted(f"{Topic.REGISTRATION}:{one}", SIDES_COMPARED) for one in asked
+        ),
     )
 
 

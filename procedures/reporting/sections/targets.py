@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from procedures.engine.case import Stored
+from procedures.operator.question import Topic
 from procedures.reporting.error_parts import parts_figure
 from procedures.reporting.pictures import target_figure
 from procedures.reporting.run_reading import RunReading
@@ -27,6 +28,14 @@ class Targets:
     parts_picture: str  # SVG, or "" where the truth of both parts is not known
     simulated: bool
     on_skin: bool  # registered without fiducials
+    accepted_by_script: bool = False  # for any of them
+
+    @property
+    def told_acceptance(self) -> str:
+        """Say who accepted the registration for its prediction, as a sentence."""
+        if self.accepted_by_script:
+            return "A script accepted the registration: nobody was asked about the prediction."
+        return "The prediction was shown to the operator before the registration was accepted."
 
 
 def read_targets(reading: RunReading, table: TargetTable, *, simulated: bool) -> Targets | None:
@@ -44,6 +53,7 @@ def read_targets(reading: RunReading, table: TargetTable, *, simulated: bool) ->
         parts_figure(table.split) if table.split else "",
         simulated,
         on_skin,
+        any(reading.was_scripted(f"{Topic.REGISTRATION}:{row.target}") for row in table.rows),
     )
 
 

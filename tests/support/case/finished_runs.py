@@ -51,16 +51,19 @@ def recorded_run(
     *results: tuple[StepKey, StepResult],
     opened: dict[str, str] | None = None,
     linked: bool = False,
+    confirmed: tuple[dict[str, str], ...] = (),
 ) -> Path:
     """A run folder with these results, in this order, each in place of a former one of its step.
 
-    With `linked` each has all earlier ones as parents.
+    With `linked` each has all earlier ones as parents. `confirmed` are answers before them.
     """
     run.mkdir(exist_ok=True)
     case, journal = Case(run), Journal(run)
     earlier: list[Record] = []
     if opened is not None:
         journal.write(Entry.OPENED, 0.0, run=run.name, **opened)
+    for answer in confirmed:
+        journal.write(Entry.CONFIRMATION, 0.0, **answer)
     for key, result in results:
         stored = case.store(key, result, earlier if linked else ())
         earlier.append(stored.record)

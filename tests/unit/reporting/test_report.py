@@ -57,6 +57,7 @@ from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
 from procedures.steps.clinical.results import LeftOutSphere, RegisteredRobot
+from procedures.steps.clinical.surface.surface_registration import SIDES_COMPARED
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.pose_values import PoseValues
 from procedures.strategies.skin_looks import SKIN
@@ -614,6 +615,38 @@ def test_a_registration_on_the_skin_is_reported_with_its_regions_and_without_sph
     assert "RONNA, OCS" not in text + picture
     for heading in ("Spheres in the CT", "Registration, verified both ways"):
         assert heading not in text
+
+
+@pytest.mark.parametrize(
+    ("options", "by", "compared"),
+    [
+        ({"scene": "mini", "ask": False}, "", "a script answered that they were compared, and nobody has"),
+        ({"scene": "mini", "ask": True}, "", "the operator has compared them"),
+        ({"scene": "mini", "ask": False}, "Dr. Ley", "the operator has compared them"),
+        ({"config": "theatre.toml", "ask": False}, "", "the operator has compared them"),
+    ],
+    ids=["script", "asked", "signed", "terminal"],
+)
+def test_left_and_right_and_the_prediction_say_who_answered(
+    tmp_path: Path, options: dict[str, object], by: str, compared: str
+) -> None:
+    answer = {"topic": f"registration:{FIRST}", "subject": SIDES_COMPARED, "answer": "yes", "by": by}
+    run = recorded_run(
+        tmp_path / "run",
+        (StepKey("ct_import"), IMPORTED),
+        (StepKey("skin_in_ct"), skin_in_ct()),
+        (StepKey("surface_registration"), registered_by_surface()),
+        opened={"theatre": "mini scene, seed 3", "banner": "SIMULATED THEATRE"},
+        linked=True,
+        confirmed=(answer, {**answer, "subject": "Accept the registration on the skin?"}),
+    )
+    (run / "request.json").write_text(json.dumps(options))
+    text = report_text(write_report(run, out=tmp_path / "out"))
+    assert f"Left and right cannot be told apart by the skin alone: {compared}" in text
+    shown = "The prediction was shown to the operator before the registration was accepted."
+    unseen = "A script accepted the registration: nobody was asked about the prediction."
+    assert (unseen if "script" in compared else shown) in text
+    assert (shown if "script" in compared else unseen) not in text
 
 
 def test_a_registration_on_the_skin_and_screws_is_told_with_their_number(tmp_path: Path) -> None:

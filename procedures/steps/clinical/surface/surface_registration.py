@@ -60,6 +60,7 @@ from ronna_hw.text import format_count
 from ronna_hw.vectors import Vector3, vector3
 
 SLIPPING = "a head that slips in its clamp, of which the tracker sees the frame alone"
+SIDES_COMPARED = "Have you compared left and right of the patient with the CT?"
 LEFT_AND_RIGHT = (
     "The scan cannot tell the skin of this head from its mirror image. Compare a sign on one side of the "
     "head, such as a scar or the site of the lesion, with the CT."
@@ -286,7 +287,7 @@ def _accept(
         context.require_yes(
             Question(
                 Topic.REGISTRATION,
-                "Have you compared left and right of the patient with the CT?",
+                SIDES_COMPARED,
                 LEFT_AND_RIGHT,
                 trajectory=predictions[0].target,
             )
