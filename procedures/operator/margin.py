@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+# Said wherever a predicted error stands whose limit, at `DEFAULT_CONFIDENCE`, the plan does not accept.
+LIMIT_BEYOND_MARGIN = "95 % limit beyond the margin"
+
 
 class MarginVerdict(StrEnum):
     """Verdict on an error at a target against the margin of the plan, in the words of a report."""
@@ -31,3 +34,10 @@ def judge_error(
     if rms_mm > margin_mm:
         return MarginVerdict.PREDICTED_BEYOND
     return MarginVerdict.PREDICTED_WITHIN if limit_mm <= margin_mm else MarginVerdict.LIMIT_BEYOND
+
+
+def remark_on_limit(verdict: MarginVerdict | None, margin_mm: float | None, limit_mm: float) -> str:
+    """Return the remark on a known error within the margin of which more was predicted, or ''."""
+    if margin_mm is None or verdict is not MarginVerdict.WITHIN or limit_mm <= margin_mm:
+        return ""
+    return LIMIT_BEYOND_MARGIN

@@ -17,7 +17,7 @@ from typing import Protocol
 
 from pydantic import BaseModel, Field
 
-from procedures.operator.margin import MarginVerdict, judge_error
+from procedures.operator.margin import LIMIT_BEYOND_MARGIN, MarginVerdict, judge_error
 from ronna_hw.text import strip_unit
 
 
@@ -118,6 +118,12 @@ class PredictedError(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False
             return beyond + self.caution
         within = "within" if self.verdict is MarginVerdict.PREDICTED_WITHIN else "BEYOND"
         return f"{within} the margin; {self.confidence:.0%} of such errors stay within {limit}{self.caution}"
+
+    @property
+    def remark(self) -> str:
+        """Remark on the limit, to follow it in a sentence: beyond the margin, widened; empty if neither."""
+        beyond = f", {LIMIT_BEYOND_MARGIN}" if self.limit_mm > self.margin_mm else ""
+        return beyond + self.caution
 
     @property
     def caution(self) -> str:

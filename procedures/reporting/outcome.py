@@ -115,6 +115,10 @@ class FinishedRun(RunOutcome):
         default={},
         description="Targets whose known error is above the margin of the plan, and that error in mm.",
     )
+    limit_beyond_margin: dict[str, float] = Field(
+        default={},
+        description="Targets whose predicted limit is above the margin of the plan, and that limit in mm.",
+    )
     mean_application_error_mm: float | None
     max_application_error_mm: float | None
     late_cycles: int = Field(description="Late or lost cycles, over all streams of the robot link.")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from procedures.operator.margin import MarginVerdict, judge_error
+from procedures.operator.margin import MarginVerdict, judge_error, remark_on_limit
 from procedures.planning.motions import BACK
 from procedures.planning.pose_name import PoseName
 from procedures.reporting.outcome import ErrorParts, Truth
@@ -47,6 +47,11 @@ class TargetRow:
         if self.margin_mm is None:
             return None
         return judge_error(self.margin_mm, self.predicted.rms_mm, self.predicted.limit_mm, self.known_mm)
+
+    @property
+    def remark(self) -> str:
+        """Remark on a known error within the margin of which more was predicted; empty without one."""
+        return remark_on_limit(self.verdict, self.margin_mm, self.predicted.limit_mm)
 
 
 class GuidePose(NamedTuple):

@@ -165,6 +165,11 @@ def build_finished_outcome(
         for row in rows.values()
         if row.verdict is MarginVerdict.BEYOND and row.known_mm is not None
     }
+    limit_beyond_mm = {
+        row.target: row.predicted.limit_mm
+        for row in rows.values()
+        if row.margin_mm is not None and row.predicted.limit_mm > row.margin_mm
+    }
     in_doubt = targets_in_doubt(reading.run.journal)
     return FinishedRun(
         run=case.folder.name,
@@ -191,6 +196,7 @@ def build_finished_outcome(
         ),
         left_out=left_out,
         beyond_margin=beyond_margin_mm,
+        limit_beyond_margin=limit_beyond_mm,
         in_doubt=in_doubt,
         mean_application_error_mm=sum(errors_mm) / len(errors_mm) if errors_mm else None,
         max_application_error_mm=max(errors_mm, default=None),

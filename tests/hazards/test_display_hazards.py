@@ -48,6 +48,16 @@ def test_a_target_by_another_strategy_is_named_with_its_error(capsys: pytest.Cap
 
 
 @pytest.mark.hazard(47)
+def test_a_limit_beyond_the_margin_is_told_beside_errors_within_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    show_outcome(OUTCOME.model_copy(update={"limit_beyond_margin": {"T1": 0.6554}}), as_json=False)
+    assert "T1: 95 % limit beyond the margin, 0.655 mm predicted" in capsys.readouterr().out
+    show_outcome(OUTCOME, as_json=False)
+    assert "limit" not in capsys.readouterr().out
+
+
+@pytest.mark.hazard(47)
 @pytest.mark.parametrize("as_json", [False, True])
 def test_a_needle_farther_from_its_target_than_the_plan_accepts_is_no_success(
     as_json: bool, capsys: pytest.CaptureFixture[str]

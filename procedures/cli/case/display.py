@@ -216,7 +216,8 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
     Exits with 3 if a target is in doubt, or its known error is above the margin of the plan.
     """
     if as_json:
-        empty = {name for name in ("left_out", "in_doubt", "beyond_margin") if not getattr(outcome, name)}
+        by_target = ("left_out", "in_doubt", "beyond_margin", "limit_beyond_margin")
+        empty = {name for name in by_target if not getattr(outcome, name)}
         print_json(outcome.model_dump(mode="json", exclude=empty))
     else:
         _show_table(outcome)
@@ -225,6 +226,7 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
 
 
 def _show_table(outcome: FinishedRun) -> None:
+    from procedures.operator.margin import LIMIT_BEYOND_MARGIN
     from procedures.reporting.run_reading import describe_strategies
     from procedures.strategies.names import SCAN_OF_SKIN
 
@@ -248,6 +250,8 @@ def _show_table(outcome: FinishedRun) -> None:
         say(f"NOT CONFIRMED: {reason}")
     for name, error_mm in outcome.beyond_margin.items():
         say(f"MISSED: the needle was {error_mm:.2f} mm from {name}, more than the margin of the plan accepts")
+    for name, limit_mm in outcome.limit_beyond_margin.items():
+        say(f"{name}: {LIMIT_BEYOND_MARGIN}, {limit_mm:.3f} mm predicted")
     if known:
         sys.stdout.write(
             f"mean {mean_mm:.3f} mm, largest {largest_mm:.3f} mm; "

@@ -11,6 +11,7 @@ from procedures.cli.case.case_lines import describe_loss, describe_state, entry_
 from procedures.engine.events import CaseState, Event, Questioned, Refusal, SignalsLost
 from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
+from procedures.operator.margin import remark_on_limit
 from procedures.reporting.ending import await_ending
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.run_summary import RunSummary, summarize_run
@@ -88,6 +89,8 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         known = "" if error_mm is None else f", error {error_mm:.3f} mm"
         if target.verdict:
             known += f", margin {target.margin_mm:g} mm: {target.verdict}"
+        if remark := remark_on_limit(target.verdict, target.margin_mm, target.limit_mm):
+            known += f", {remark}"
         say(f"{target.id}: predicted {target.predicted_tre_mm:.3f} mm{known}")
     if (bases := row.bases) is not None:
         say(f"two arms: head and ball meet within {bases.meeting_mm:.2f} mm")

@@ -98,7 +98,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             f"Accept the registration for {predicted.target}?",
             f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
             f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
-            f"{against[0].caution}\nnot included: {predicted.excluded}"
+            f"{against[0].remark}\nnot included: {predicted.excluded}"
             + "".join(
                 f"\n{said}"
                 for said in (tell_learned(learned, predicted.target), predicted.assumed, methods)

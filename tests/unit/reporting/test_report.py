@@ -19,6 +19,7 @@ from clinical_case import FIRST, LAST, TRAJECTORIES, ClinicalCell, done_later
 from finished_runs import recorded_run
 from prepared_results import (
     checked_paths,
+    checked_plan,
     global_localization,
     imported_ct,
     localized_fiducials,
@@ -162,6 +163,21 @@ def test_the_verdict_and_the_errors_against_the_margin_come_before_everything_el
     assert cells[1:4] == [f"<strong>{shown}</strong>", "2.000", said]
     assert head.index("</table>") < (head + "<figure>").index("<figure>")
     assert ("What to do." in head) is (word == "Missed")
+
+
+def test_a_target_within_the_margin_tells_a_predicted_limit_that_is_not(cell: ClinicalCell) -> None:
+    run = recorded_run(
+        cell.folder.parent / "run",
+        (StepKey("ct_import"), IMPORTED),
+        (StepKey("plan_check"), checked_plan(margin_mm=0.6)),
+        (StepKey("skin_in_ct"), skin_in_ct()),
+        (StepKey("surface_registration"), registered_by_surface()),
+        linked=True,
+    )
+    truth = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4, lateral_mm=0.4, axial_mm=-0.1),))
+    head = report_text(write_report(run, truth=truth, out=run.parent / "out")).partition("<details")[0]
+    assert re.search(rf"<tr><td>{FIRST}</td>.*>within, 95 % limit beyond the margin</td>", head)
+    assert re.search(rf"<tr><td>{LAST}</td>.*>rms within, limit beyond</td>", head)
 
 
 @pytest.mark.hazard(28)

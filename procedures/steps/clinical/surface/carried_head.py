@@ -165,7 +165,7 @@ def register_carried(context: StepContext) -> Outcome[RegisteredBySurface]:
                 f"Accept the registration on the skin for {predicted.target}, as carried by the clamp?",
                 f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
                 f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
-                f"{against[0].caution}\nconfirmed by "
+                f"{against[0].remark}\nconfirmed by "
                 f"{format_count(len(scanned.looks_taken), 'look')} at skin that was scanned before"
                 f"\nnot included: {predicted.excluded}",
                 trajectory=predicted.target,

@@ -302,7 +302,7 @@ def _accept(
                 f"Accept the registration on {format_fit(found)} for {predicted.target}?",
                 f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
                 f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
-                f"{against[0].caution}\nthe skin differs from the CT by {found.misfit_mm:.2f} mm over "
+                f"{against[0].remark}\nthe skin differs from the CT by {found.misfit_mm:.2f} mm over "
                 f"{found.misfit_length_mm:.0f} mm; "
                 f"{tell_coverage(found.coverage, 'the registration')}"
                 + "".join(

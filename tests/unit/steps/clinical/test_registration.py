@@ -31,8 +31,10 @@ from procedures.guards.stability import GUIDE_NOTICEABLE_MM, Subject
 from procedures.imaging.localizers import Localizer
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
+from procedures.operator.margin import LIMIT_BEYOND_MARGIN
 from procedures.operator.question import Topic
 from procedures.registration.error_sources import FUSION
+from procedures.registration.error_theory import DEFAULT_CONFIDENCE
 from procedures.steps.clinical.registration import STEP
 from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from procedures.steps.clinical.unnoticed import BASE, GUIDE, HEAD, expect_unnoticed
@@ -87,6 +89,14 @@ def test_the_operator_accepts_the_predicted_error_and_not_the_residual(cell: Cli
     (shown,) = question.predicted
     assert (shown.target, shown.rms_mm, shown.margin_mm) == (FIRST, predicted.rms_mm, margin_mm)
     assert shown.sentence == f"within the margin; 95% of such errors stay within {predicted.limit_mm:.2f} mm"
+
+
+def test_the_question_tells_a_limit_that_the_margin_does_not_contain(cell: ClinicalCell) -> None:
+    predicted = registered(cell, margin_mm=0.7).result.prediction(FIRST)
+    assert predicted.rms_mm < 0.7 < predicted.limit_mm
+    (question,) = cell.operator.asked
+    assert f"mm at 95%, {LIMIT_BEYOND_MARGIN}\nnot included" in question.value
+    assert f"{DEFAULT_CONFIDENCE:.0%}" == "95%"  # as the remark says
 
 
 @pytest.mark.hazard(12)
