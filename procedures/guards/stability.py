@@ -17,6 +17,7 @@ from pydantic import Field
 
 from procedures.journal.journal import Entry, Line, theatre_time_s
 from procedures.journal.results import Values
+from procedures.registration.movement import LEAST_POINTS
 from ronna_hw.arm.catalogue import find_arm
 
 # On its gauge; beyond it, the guide is not as it was when its tip was calibrated. For an arm that repeats
@@ -103,21 +104,52 @@ WATCHED_SUBJECTS = (
 )
 
 
-# Of a head that is registered on its skin: how it is seen, and what hangs on it.
-ON_SKIN = {
-    Subject.HEAD: ("the frame on its clamp, by the tracker", ("global_localization", "surface_registration")),
-    Subject.CAMERAS: ("rays that meet, and lines in one plane of light", ("surface_scan",)),
-}
+BY_CLAMP = "the frame on its clamp, by the tracker"
+LINES = "lines in one plane of light"
 
 
-def watched_subjects(*, on_skin: bool) -> tuple[WatchedSubject, ...]:
-    """Return the watched subjects of a case with spheres, or of one that registers on the skin alone."""
-    if not on_skin:
+def watched_subjects(beside_skin: int | None = None) -> tuple[WatchedSubject, ...]:
+    """Return the watched subjects of a case with spheres, or with so many beside the skin."""
+    if beside_skin is None:
         return WATCHED_SUBJECTS
-    words = {one.subject: ON_SKIN.get(one.subject, (one.seen_by, one.hangs)) for one in WATCHED_SUBJECTS}
+    changed = {
+        Subject.HEAD: (_see_head(beside_skin), ("global_localization", "surface_registration")),
+        Subject.CAMERAS: (
+            f"rays that meet, spheres of the right size, and {LINES}"
+            if beside_skin
+            else f"rays that meet, and {LINES}",
+            ("surface_scan",),
+        ),
+    }
+    words = {one.subject: changed.get(one.subject, (one.seen_by, one.hangs)) for one in WATCHED_SUBJECTS}
     return tuple(
         replace(one, seen_by=words[one.subject][0], hangs=words[one.subject][1]) for one in WATCHED_SUBJECTS
     )
+
+
+def _see_head(spheres: int) -> str:
+    """Say by what the tracker sees a head with so many spheres, whose clamp has a frame.
+
+    At rest every sphere counts (`procedures.room`); while the arm moves, they do from three on.
+    """
+    if not spheres:
+        return BY_CLAMP
+    on_head = "the sphere on it" if spheres == 1 else "the spheres on it"
+    seen = f"{on_head} and {BY_CLAMP}"
+    return seen if spheres >= LEAST_POINTS else f"{seen}; while the arm moves, by the frame alone"
+
+
+def tell_unseen_slip(spheres: int) -> str:
+    """Say which slip of a head in its clamp the tracker does not see, with so many spheres on it; '' if none.
+
+    Three spheres show where the head is without the clamp's frame, and what they leave open is predicted.
+    """
+    if spheres >= LEAST_POINTS:
+        return ""
+    if not spheres:
+        return "a head that slips in its clamp, of which the tracker sees the frame alone"
+    shows, about = ("sphere shows", "it") if spheres == 1 else ("spheres show", "the line through them")
+    return f"a head that slips in its clamp by less than its {shows}, or turns about {about}"
 
 
 def last_seen_s(journal: Iterable[Line], confirms: Callable[[str, Subject], bool]) -> dict[Subject, float]:

@@ -48,7 +48,7 @@ def read_stability(reading: RunReading) -> Stability | None:
     last_s = stability.last_seen_s(reading.run.journal, confirms)
     rows = []
     skin = reading.find(SkinInCt)
-    for watched in stability.watched_subjects(on_skin=skin is not None and not skin.markers):
+    for watched in stability.watched_subjects(None if skin is None else len(skin.markers)):
         looks = (one.seen for one in results.values())
         seen = tuple(next((one for one in look if one.subject == watched.subject), None) for look in looks)
         rows.append(StabilityRow(watched, last_s.get(watched.subject), seen))

@@ -13,6 +13,7 @@ import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
+from procedures.guards.stability import tell_unseen_slip
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose
 from procedures.operator.question import Evidence, Picture, Question, Topic
@@ -59,7 +60,6 @@ from ronna_hw.arrays import Array
 from ronna_hw.text import format_count
 from ronna_hw.vectors import Vector3, vector3
 
-SLIPPING = "a head that slips in its clamp, of which the tracker sees the frame alone"
 SIDES_COMPARED = "Have you compared left and right of the patient with the CT?"
 LEFT_AND_RIGHT = (
     "The scan cannot tell the skin of this head from its mirror image. Compare a sign on one side of the "
@@ -255,6 +255,7 @@ def _predict(
     }
     if planned.fusion_error_mm is not None:
         added_mm2[FUSION] = np.eye(3) * planned.fusion_error_mm**2 / 3.0
+    slip = tell_unseen_slip(len(context.result(SurfaceStart).pairs))
     total = replace(by_surface, covariances_mm2=by_surface.covariances_mm2 + sum(added_mm2.values()))
     shares_mm2 = found.split(planned.target_mm, arm) | {
         name: float(np.trace(one)) for name, one in added_mm2.items()
@@ -265,7 +266,7 @@ def _predict(
         limit_mm=total.limit_mm(DEFAULT_CONFIDENCE),
         confidence=DEFAULT_CONFIDENCE,
         formula="mixture over the misfits of the skin",
-        excluded=f"{NOT_PREDICTED_OF_TOOL}; a patient who moved during the CT; {SLIPPING}",
+        excluded="; ".join(filter(None, (NOT_PREDICTED_OF_TOOL, "a patient who moved during the CT", slip))),
         budget=tuple(ErrorShare(source=name, rms_mm=mean_mm2**0.5) for name, mean_mm2 in shares_mm2.items()),
     )
 
