@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -63,6 +64,23 @@ class TwoWayTable(Strict):
         description="Points that match no sphere."
     )
     agrees_both_ways: bool = Field(description="Every match is the nearest in both directions.")
+
+    def beside_skin(self, residuals_mm: Mapping[int, float], without_mm: Mapping[int, float]) -> Self:
+        """Return the table with what the stereo head measured at spheres (of the CT) beside the skin.
+
+        They were registered together with the skin; `without_mm` is how far that has each by all the others.
+        """
+        rows = (
+            row.model_copy(
+                update={
+                    "stereo_residual_mm": residuals_mm.get(row.fiducial),
+                    "leave_one_out_mm": without_mm.get(row.fiducial),
+                }
+            )
+            for row in self.ct_to_room
+        )
+        unmatched = tuple(one for one in self.unmatched_ct if one not in residuals_mm)
+        return self.model_copy(update={"ct_to_room": tuple(rows), "unmatched_ct": unmatched})
 
 
 @dataclass(frozen=True)

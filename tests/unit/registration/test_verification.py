@@ -50,6 +50,15 @@ def test_a_missing_measurement_is_none_and_unmatched_points_are_named_on_either_
     assert [(str(instrument), index) for instrument, index in table.unmatched_room] == [("tracker", 0)]
 
 
+def test_spheres_beside_the_skin_have_what_was_measured_with_it(random, fiducials, any_pose):
+    image, room = fiducials(3, random), any_pose(random)
+    alone = verify_two_way(image, room.apply(image[:2]), [[0, 0], [1, 1]], room)
+    table = alone.beside_skin({0: 0.12, 2: 0.05}, {0: 0.2, 2: 0.1})
+    assert [row.stereo_residual_mm for row in table.ct_to_room] == [0.12, None, 0.05]
+    assert [row.leave_one_out_mm for row in table.ct_to_room] == [0.2, None, 0.1]
+    assert (alone.unmatched_ct, table.unmatched_ct) == ((2,), ())
+
+
 def test_readings_are_mapped_back_into_the_ct(case):
     table = case[2]
     assert len(table.room_to_ct) == 5 + 4

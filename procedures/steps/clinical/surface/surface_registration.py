@@ -6,6 +6,7 @@ looks and target; see `procedures.registration.surface`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -96,12 +97,13 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     worst = max(predictions, key=lambda one: one.rms_mm)
     changed = () if found.changed is None else (SkinRegion.of(found.changed),)
     localized = context.result(SkinInCt)
+    residuals_mm = {} if looked is None else _residuals_by_sphere(looked, found)
     return Outcome(
         RegisteredBySurface(
             robot_from_ct=FramedPose.of(found.robot_from_ct),
             pairs=len(found.spheres),
             fre_mm=float(np.sqrt(np.mean(kept**2))),
-            residuals_mm=() if looked is None else _residuals_by_sphere(looked, found),
+            residuals_mm=tuple(residuals_mm.values()),
             leave_one_out_mm=tuple(one.away_mm for one in found.spheres),
             predictions=predictions,
             two_way=verify_two_way(
@@ -110,6 +112,9 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
                 context.result(SurfaceStart).pairs,
                 found.robot_from_ct,
                 ct_disagreement_mm=localized.disagreement_mm,
+            ).beside_skin(
+                {number: math.hypot(*left_mm) for number, left_mm in residuals_mm.items()},
+                {one.number: one.away_mm for one in found.spheres},
             ),
             left_out=left_out,
             learned=learned,
@@ -226,10 +231,10 @@ def _learn_arm(
     )
 
 
-def _residuals_by_sphere(looked: LookedPairs, found: SurfaceRegistration) -> tuple[Vector3, ...]:
-    """Return what is left at each sphere, on average over its looks, beside the errors of the arm."""
+def _residuals_by_sphere(looked: LookedPairs, found: SurfaceRegistration) -> dict[int, Vector3]:
+    """Return what is left at each sphere of the CT, on average over its looks, beside the arm's errors."""
     left_mm, numbers = found.sphere_residuals_mm + found.arm_at_spheres_mm, np.array(looked.fiducials)
-    return tuple(vector3(left_mm[numbers == one].mean(axis=0)) for one in np.unique(numbers))
+    return {int(one): vector3(left_mm[numbers == one].mean(axis=0)) for one in np.unique(numbers)}
 
 
 def _predict(
