@@ -345,35 +345,39 @@ LITTLE_SKIN = Branch(
     "the scan covers too little bare skin, leaves a target undetermined, or fits in two poses",
     "share of the head above the jaw, of hair and other bodies; predicted error; the second best pose",
     ("surface_registration",),
-    "more of the head is bared or turned into view, and scanned again",
+    "the scan is void, or the start if two poses fit: more of the head is bared or turned into view, and "
+    "scanned again",
     (LITTLE_COVERAGE, MUCH_EXCLUDED, POORLY_DETERMINED, TWO_POSES),
 )
 UNLIKE_SKIN = Branch(
     "the scan does not have the shape of the head in the CT, or puts its landmarks elsewhere",
     "distance of the scan from the skin, and of the landmarks from where they were touched",
     ("surface_registration",),
-    "patient, CT, drapes and landmarks are checked, and the skin is scanned again",
+    "patient, CT, drapes and landmarks are checked; the scan is void, or the start with its landmarks, and "
+    "the skin is scanned again",
     (OTHER_HEAD, FAR_FROM_START),
 )
 LOOKS_DISAGREE = Branch(
     "the head moved while it was scanned",
     "looks before against looks after, each moved rigidly, against what skin explains",
     ("surface_registration",),
-    "the look is named; clamp and brakes are checked, and the skin is scanned again",
+    "the look is named; clamp and brakes are checked; the scan is void, and the skin is scanned again",
     (HEAD_MOVED,),
 )
 SKIN_MOVED = Branch(
     "the skin is not where it was in the CT over a large part of the scan",
     "patches of the scan that all lie on one side of the skin, against its usual misfit",
     ("surface_registration",),
-    "the parts are named; what presses on them is taken off, and the skin is scanned again",
+    "the parts are named; clamp and what presses on them are checked; the scan is void, and the skin is "
+    "scanned again",
     (SKIN_CHANGED,),
 )
 SPHERE_OFF_SKIN = Branch(
     "a sphere is not where the skin, and the other spheres, have it",
     "its place against the one predicted without it",
     ("surface_registration",),
-    "the sphere is named; none is left out in the same run",
+    "the sphere is named; the localization is void, and the tracker localizes again. None is left out in the "
+    "same run",
     (SPHERE_MOVED,),
 )
 CARRIED_ELSEWHERE = Branch(

@@ -123,6 +123,17 @@ def test_bad_input_is_refused_with_the_arm_at_rest_and_nothing_lost(name: str, c
     assert exported.returncode == EXIT_DONE, exported.stderr
 
 
+def test_a_scan_that_was_refused_is_taken_again_and_the_case_goes_on(case: SimulatedCase) -> None:
+    slips = f"{SCANNING} after 20 s: room shift slipping_head 1 0 0 mm"
+    ran = case.run("--scene", "mini", "--seed", str(SEED), "--fiducials", "surface", faults=slips)
+    assert "SRF-008" in ran.stderr, ran.stderr
+    assert "the skin is scanned again" in ran.stderr
+    ended, _, errors = go_on(case, "")
+    assert ended == EXIT_DONE, errors
+    scans = [record for record in records_of(case.run_folder) if record.kind == "surface_scan"]
+    assert len(scans) == 2  # the refused one, and another
+
+
 def write_not_a_number(slice_file: Path) -> None:
     """Spoil the grey values of a slice as a faulty archive does: no writer of DICOM allows it."""
     data = pydicom.dcmread(slice_file)

@@ -22,13 +22,24 @@ from procedures.planning.guide import direction_covariance_mm2, instrument_covar
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration.error_sources import DIRECTION, FUSION, GUIDE_TIP, INSTRUMENT, STEREO_HEAD
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE
+from procedures.registration.surface.errors import (
+    FAR_FROM_START,
+    HEAD_MOVED,
+    LITTLE_COVERAGE,
+    MUCH_EXCLUDED,
+    OTHER_HEAD,
+    POORLY_DETERMINED,
+    SKIN_CHANGED,
+    SPHERE_MOVED,
+    TWO_POSES,
+)
 from procedures.registration.surface.shared_errors import Sources
 from procedures.registration.surface.spheres import LookedSpheres
 from procedures.registration.surface.surface_registration import SurfaceRegistration, register_surface
 from procedures.registration.target_prediction import SharedErrors
 from procedures.registration.verification import verify_two_way
 from procedures.steps.clinical import error_budget
-from procedures.steps.clinical.correspondence import SurfaceStart
+from procedures.steps.clinical.correspondence import MeasuredHead, SurfaceStart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import SkinInCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -53,6 +64,7 @@ from procedures.steps.clinical.results import (
 from procedures.steps.clinical.room import ROOM_READS
 from procedures.steps.clinical.sphere_pairs import LookedPairs
 from procedures.steps.clinical.surface.carried_head import register_carried
+from procedures.steps.clinical.surface.repeated_work import Repeat, repeat_if_refused
 from procedures.steps.clinical.surface.skin_in_ct import bone_of, skin_of
 from procedures.steps.clinical.surface.skin_pictures import RESIDUALS_PICTURE, draw_residuals, tell_coverage
 from procedures.steps.clinical.unnoticed import expect_unnoticed
@@ -66,12 +78,24 @@ LEFT_AND_RIGHT = (
     "The scan cannot tell the skin of this head from its mirror image. Compare a sign on one side of the "
     "head, such as a scar or the site of the lesion, with the CT."
 )
+GO_ON = "resume the run, or go on with the next step, and"
+SCAN_AGAIN = Repeat(
+    ScannedSurface,
+    f"The scan is void: {GO_ON} the skin is scanned again.",
+    (LITTLE_COVERAGE, POORLY_DETERMINED, OTHER_HEAD, HEAD_MOVED, SKIN_CHANGED, MUCH_EXCLUDED),
+)
+LOCALIZE_AGAIN = Repeat(
+    GlobalLocalization,
+    f"The localization is void: {GO_ON} the tracker localizes again, nose and ears are touched, and the skin "
+    "is scanned again.",
+    (SPHERE_MOVED,),
+)
 
 
 def run(context: StepContext) -> Outcome[RegisteredBySurface]:
     """Register the scan to the skin in the CT, and have the predicted error accepted.
 
-    Raises SRF-001 to SRF-012, PRO-002, PRO-007.
+    Raises SRF-001 to SRF-012, PRO-002, PRO-007; what has to be done again after a refusal is void then.
     """
     if context.workcell.master.tool is MountedTool.GUIDE:
         raise GateFailed(
@@ -85,7 +109,8 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
         return register_carried(context)
     plan, scanned = context.result(CheckedPlan), context.result(ScannedSurface)
     looked = LookedPairs.of(context) if scanned.fiducials else None
-    found = _register(context, scanned, looked)
+    with repeat_if_refused(context, *repeats(context)):
+        found = _register(context, scanned, looked)
     planned = [plan.trajectory(name) for name in context.served_trajectories]
     predictions = tuple(_predict(context, scanned, looked, found, one) for one in planned)
     left_out = exclude_beyond_margin(context, plan, predictions)
@@ -135,6 +160,18 @@ def run(context: StepContext) -> Outcome[RegisteredBySurface]:
         + "".join(f"; the skin moved {one.shift_mm:.1f} mm at {', '.join(one.parts)}" for one in changed)
         + "".join(f"; without {name}" for name in left_out),
     )
+
+
+def repeats(context: StepContext) -> tuple[Repeat, ...]:
+    """Return what each refusal of this registration voids: what its advice says is done again."""
+    is_measured = context.stands(MeasuredHead)
+    start_again = Repeat(
+        MeasuredHead if is_measured else SurfaceStart,
+        f"The start is void: {GO_ON} nose and ears are {'measured' if is_measured else 'touched'} and the "
+        "skin is scanned again.",
+        (TWO_POSES, FAR_FROM_START),
+    )
+    return SCAN_AGAIN, start_again, LOCALIZE_AGAIN
 
 
 def _register(

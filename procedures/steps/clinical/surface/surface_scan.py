@@ -62,7 +62,10 @@ def run(context: StepContext) -> Outcome[ScannedSurface]:
     paths = context.result(CheckedPaths)
     before = None  # the scan of another trajectory; who repeats this step has the skin scanned again
     if not context.done_before:
-        before = context.result_among(ScannedSurface, lambda found: found[0] if found else None)
+        void = [one.result.lines for one in context.former(ScannedSurface)]  # those of a finished one stand
+        before = context.result_among(
+            ScannedSurface, lambda found: next((one for one in found if one.lines not in void), None)
+        )
     own = context.key.trajectory
     axes = [own] if own is None or before is not None else [SKIN, own]
     motions = [one for axis in axes for one in motions_over_spheres(paths.motions, axis)]

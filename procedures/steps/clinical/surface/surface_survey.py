@@ -7,8 +7,7 @@ it excludes is refused. The mark of an entry tells left from right then, as the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -65,6 +64,7 @@ from procedures.steps.clinical.surface.look_scanner import (
     read_time_s,
     require_lines,
 )
+from procedures.steps.clinical.surface.repeated_work import Repeat, repeat_if_refused
 from procedures.steps.clinical.surface.skin_in_ct import skin_of
 from procedures.steps.clinical.surface.skin_pictures import tell_coverage
 from procedures.steps.clinical.surface.surface_start import tell_site, touch_site
@@ -94,16 +94,17 @@ LARGEST_ERROR_MM = 5.0
 # Safety against a pose from two or three looks. Source: five looks of a whole case showed 0.05.
 LEAST_COVERAGE = 0.04
 
-NOT_FOUND = (
-    *(NO_STATIONS, NOTHING_LIT, LITTLE_COVERAGE, MUCH_EXCLUDED, POORLY_DETERMINED),
-    *(TWO_POSES, OTHER_HEAD, FAR_FROM_START, HeadElsewhere),
-)
 OTHER_POSITION = (
     "Compare the patient's position, left and right included, and the frame on the clamp with the plan."
 )
-MEASURED_AGAIN = (
+MEASURE_HEAD_AGAIN = Repeat(  # the arm does not go there again
+    MeasuredHead,
     "The head may be elsewhere than it was measured, which is void: go on with the next step, which has it "
-    "measured again."
+    "measured again.",
+    (
+        *(NO_STATIONS, NOTHING_LIT, LITTLE_COVERAGE, MUCH_EXCLUDED, POORLY_DETERMINED),
+        *(TWO_POSES, OTHER_HEAD, FAR_FROM_START, HeadElsewhere),
+    ),
 )
 
 
@@ -117,7 +118,7 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     if (carried := find_carried(context)) is not None:
         return start_carried(carried)
     plan = context.result(CheckedPlan)
-    with void_measured_head(context):
+    with repeat_if_refused(context, MEASURE_HEAD_AGAIN):
         found, looked = _survey(context, measured, plan)
     lines = [line for one in looked for line in one.lines]
     pose, axes = found.robot_from_ct, HeadAxes.of(skin_of(context))
@@ -148,25 +149,6 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
         f"{tell_coverage(found.coverage, 'these looks')}, {place_mm:.0f} mm and "
         f"{np.degrees(turn_rad):.0f} deg from where it was measured{tell_site(site)}",
     )
-
-
-@contextmanager
-def void_measured_head(context: StepContext) -> Iterator[None]:
-    """Void what was measured if the head is not found there: the arm does not go to it again."""
-    try:
-        yield
-    except RonnaError as problem:
-        if not is_error(problem, *NOT_FOUND):
-            raise
-        again = problem.reworded(
-            problem.what,
-            expected=problem.expected,
-            limit=problem.limit,
-            got=problem.got,
-            action=f"{problem.advice} {MEASURED_AGAIN}",
-        )
-        context.void(MeasuredHead, again)
-        raise again from problem
 
 
 def _survey(

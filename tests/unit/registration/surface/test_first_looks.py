@@ -17,7 +17,8 @@ from procedures.registration.surface.errors import FAR_FROM_START, HEAD_MOVED, N
 from procedures.registration.surface.starts import Start
 from procedures.steps.clinical.correspondence import MeasuredHead
 from procedures.steps.clinical.surface.head_measurement import BY_TAPE
-from procedures.steps.clinical.surface.surface_survey import VIEWS, find_head, void_measured_head
+from procedures.steps.clinical.surface.repeated_work import repeat_if_refused
+from procedures.steps.clinical.surface.surface_survey import MEASURE_HEAD_AGAIN, VIEWS, find_head
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 
@@ -70,8 +71,8 @@ def test_a_head_that_the_plan_has_otherwise_is_refused(heads, looked):
 def void_after(problem: RonnaError) -> list[type]:
     """Have first looks fail; return the models whose results are void."""
     gone: list[type] = []
-    context = cast(StepContext, SimpleNamespace(void=lambda model, _reason: gone.append(model)))
-    with pytest.raises(RonnaError) as failed, void_measured_head(context):
+    context = cast(StepContext, SimpleNamespace(void_each=lambda model, _reason: gone.append(model)))
+    with pytest.raises(RonnaError) as failed, repeat_if_refused(context, MEASURE_HEAD_AGAIN):
         raise problem
     assert failed.value.code == problem.code
     assert problem.summary in str(failed.value)

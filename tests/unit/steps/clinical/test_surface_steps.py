@@ -23,11 +23,21 @@ from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import HeadSight, RoomPrior
 from procedures.registration.surface.errors import (
     ARM_NOT_CALIBRATED,
+    FAR_FROM_START,
     HALF_A_HEAD,
+    HEAD_MOVED,
+    LITTLE_COVERAGE,
+    MIRRORED_HEAD,
+    MUCH_EXCLUDED,
     NO_PATIENT_FRAME,
     NO_PROJECTOR,
     NO_STATIONS,
     NOTHING_LIT,
+    OTHER_HEAD,
+    POORLY_DETERMINED,
+    SKIN_CHANGED,
+    SPHERE_MOVED,
+    TWO_POSES,
 )
 from procedures.registration.surface.surface import Surface
 from procedures.relocalization.errors import NoLine, PairNotUsable
@@ -36,8 +46,9 @@ from procedures.runs.case import strategy_of
 from procedures.runs.request import CaseProcedure
 from procedures.runs.request_checks import require_one_change
 from procedures.steps.catalogue import clinical_steps
-from procedures.steps.clinical.correspondence import Correspondence, MeasuredHead
+from procedures.steps.clinical.correspondence import Correspondence, MeasuredHead, SurfaceStart
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.results import (
     RegisteredRobot,
     Relocalization,
@@ -48,6 +59,8 @@ from procedures.steps.clinical.surface import skin_in_ct, surface_paths
 from procedures.steps.clinical.surface.head_measurement import BY_TAPE
 from procedures.steps.clinical.surface.landmark_reading import BY_POINTER, LandmarkReading, place_head
 from procedures.steps.clinical.surface.look_scanner import require_lines
+from procedures.steps.clinical.surface.repeated_work import repeat_if_refused
+from procedures.steps.clinical.surface.surface_registration import repeats
 from procedures.workcell import line_look, workcell
 from procedures.workcell.stereo_look import TRUSTED_BGR, pair_picture
 from ronna_hw.arrays import Array
@@ -131,6 +144,32 @@ def test_the_skin_in_the_ct_keeps_the_spheres_that_were_localized(monkeypatch: p
             clinical=SimpleNamespace(methods=CaseMethods()),
         )
         assert skin_in_ct.run(cast(StepContext, context)).result.markers == kept
+
+
+SCAN, START, TAPE, ROOM = ScannedSurface, SurfaceStart, MeasuredHead, GlobalLocalization
+REPEATED = {
+    **dict.fromkeys((LITTLE_COVERAGE, POORLY_DETERMINED, OTHER_HEAD, HEAD_MOVED), (SCAN, SCAN)),
+    **dict.fromkeys((SKIN_CHANGED, MUCH_EXCLUDED), (SCAN, SCAN)),
+    **dict.fromkeys((TWO_POSES, FAR_FROM_START), (START, TAPE)),
+    SPHERE_MOVED: (ROOM, ROOM),
+    MIRRORED_HEAD: (None, None),  # patient and CT are compared: a new scan does not help
+}
+
+
+@pytest.mark.parametrize("is_measured", [False, True])
+@pytest.mark.parametrize("problem", REPEATED, ids=lambda one: one.code)
+def test_a_refused_registration_voids_what_has_to_be_done_again(problem, is_measured: bool) -> None:
+    gone: list[type] = []
+    context = SimpleNamespace(
+        stands=lambda _model: is_measured, void_each=lambda model, _: gone.append(model)
+    )
+    in_step = cast(StepContext, context)
+    with raises(problem) as refused, repeat_if_refused(in_step, *repeats(in_step)):
+        raise problem("refused", limit="1 mm", got="2 mm")
+    assert gone == [one for one in [REPEATED[problem][is_measured]] if one is not None]
+    assert refused.value.summary == "refused; limit 1 mm, got 2 mm"
+    assert ("resume the run, or go on with the next step" in refused.value.advice) == bool(gone)
+    assert refused.value.advice.startswith(problem.action)
 
 
 def test_an_assistant_and_a_scan_of_the_skin_are_not_combined() -> None:
