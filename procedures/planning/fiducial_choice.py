@@ -19,6 +19,7 @@ from procedures.planning.marker_sites import APART_MM, list_free_sites, propose_
 from procedures.planning.plan_model import MOST_BESIDE_SKIN, Plan
 from procedures.planning.skin_views import mark_scannable
 from procedures.registration.points import validate_points
+from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.stations import ExpectedPose
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import thin_points
@@ -118,12 +119,14 @@ def compare_fiducials(
 ) -> tuple[Fiducials, ...]:
     """Compare the skin with none to three screws at the best sites, and spheres alone.
 
-    Screws are added one by one, each where it lowers the mean square error over the targets most. On the skin
-    shown by the CT, or on the ellipsoid without one. Raises PLAN-021 without room for them, SRF-002.
+    Screws are added one by one, each where it lowers the mean square error over the targets most: on the
+    cranium, by the skin that the CT shows, or the ellipsoid without one. Raises PLAN-021 without room for
+    them, SRF-002.
     """
     ways = [one.trajectory for one in plan.trajectories]
     targets = np.array([one.target_mm for one in plan.trajectories])
-    sites, _ = list_free_sites(head, ways, volume, np.random.default_rng(seed))
+    axes = HeadAxes.of(skin)
+    sites, _ = list_free_sites(head, ways, volume, np.random.default_rng(seed), axes)
     pose, chosen = _pose_by(skin), np.empty((0, 3))
     found = [_expect(pose, chosen, plan)]
     for _ in range(MOST_BESIDE_SKIN):
@@ -135,7 +138,7 @@ def compare_fiducials(
         tried = pose.with_spheres(np.concatenate([before, sites[:, None]], axis=1), SPHERE_SD_MM)
         chosen = np.vstack([chosen, sites[tried.mean_square_mm2(targets).argmin()]])
         found.append(_expect(pose, chosen, plan))
-    alone = propose_markers(head, ways, SPHERES_ALONE, ALONE_3D_MM, volume=volume, seed=seed)
+    alone = propose_markers(head, ways, SPHERES_ALONE, ALONE_3D_MM, volume=volume, axes=axes, seed=seed)
     expected = {one.target: one.expected_mm for one in alone.targets}
     found.append(
         Fiducials(

@@ -30,9 +30,12 @@ from ronna_hw.vectors import vector3
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
+    from procedures.registration.surface.regions import HeadAxes
 
 CAP_AXIS = (0.0, -1.0, 1.0)  # LPS, from forehead to vertex: excludes pillow and face
 CAP_HALF_ANGLE_RAD = np.radians(50.0)
+# Parts of a head with a bone to hold a screw under thin skin, which a sphere hides no eye or ear on.
+CRANIUM = ("vault", "forehead", "left temple", "right temple", "occiput")
 STANDOFF_MM = 16.0  # from the skin to a sphere's centre: base and half a sphere
 APART_MM = 38.0  # between two markers, so that the stereo head sees one at a time
 SITES, TEMPLATE_DRAWS = 600, 60_000
@@ -91,15 +94,17 @@ def propose_markers(
     marker_error_mm: float,
     *,
     volume: Volume | None = None,
+    axes: HeadAxes | None = None,
     seed: int = 0,
 ) -> ProposedMarkers:
     """Propose positions for `count` spheres that minimize the mean square error over the targets.
 
     On the skin shown by the CT, or on the ellipsoid without one; clear of the trajectories and of one
-    another. The best of many random sets, improved by exchanging one marker at a time. Raises PLAN-021.
+    another; with `axes` on the cranium alone. The best of many random sets, improved by exchanging one marker
+    at a time. Raises PLAN-021.
     """
     random = np.random.default_rng(seed)
-    centres, posts = list_free_sites(head, trajectories, volume, random)
+    centres, posts = list_free_sites(head, trajectories, volume, random, axes)
     targets = np.array([one.target_mm for one in trajectories])
     sets = np.empty((0, count), np.int64)
     if len(centres):
@@ -197,10 +202,17 @@ def list_free_sites(
     trajectories: Sequence[Trajectory],
     volume: Volume | None,
     random: np.random.Generator,
+    axes: HeadAxes | None = None,
 ) -> tuple[Array, Array]:
-    """Find skin positions clear of the trajectories, and the directions of their posts."""
+    """Find skin positions clear of the trajectories, and the directions of their posts.
+
+    With `axes`, sphere and screw are on the cranium: not on eyes, nose, ears, cheeks or jaw.
+    """
     centres, posts = list_sites(head, volume, random)
     free = np.array([is_clear_of(trajectories, one) for one in centres], dtype=bool)
+    if axes is not None:
+        for points_mm in (centres, centres - STANDOFF_MM * posts):
+            free &= np.isin(axes.name_parts(points_mm), CRANIUM)
     return centres[free], posts[free]
 
 

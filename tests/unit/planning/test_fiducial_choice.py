@@ -16,6 +16,8 @@ from procedures.planning.fiducial_choice import (
     name_fewest,
 )
 from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.marker_sites import CRANIUM, list_free_sites
+from procedures.registration.surface.regions import HeadAxes
 from procedures.registration.surface.surface import Surface
 
 AXES_MM = np.array([75.0, 95.0, 90.0])
@@ -59,3 +61,20 @@ def test_screws_are_apart_and_a_second_comparison_is_the_same(skin: Surface) -> 
     centres = np.array(first[3].centres_mm)
     apart = np.linalg.norm(centres[:, None] - centres, axis=2)[np.triu_indices(3, 1)]
     assert apart.min() > 38.0
+
+
+def test_no_screw_is_proposed_below_the_cranium(skin: Surface) -> None:
+    stretched = np.array([1.0, 1.0, 1.6])  # a long head, of which the cap of sites reaches the eyes
+    long_head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(75.0, 95.0, 144.0))
+    face = cast(Surface, SimpleNamespace(points_mm=skin.points_mm * stretched, normals=skin.normals))
+    axes = HeadAxes.of(face)
+    ways = [one.trajectory for one in plan().trajectories]
+    everywhere, on_cranium = (
+        set(axes.name_parts(list_free_sites(long_head, ways, None, np.random.default_rng(0), one)[0]))
+        for one in (None, axes)
+    )
+    assert {"eyes", "nose"} <= everywhere
+    assert on_cranium <= set(CRANIUM)
+    for one in compare_fiducials(face, long_head, plan()):
+        if one.centres_mm:
+            assert set(axes.name_parts(np.array(one.centres_mm))) <= set(CRANIUM)
