@@ -42,8 +42,8 @@ OTHER_HEAD = ErrorCode(
     "SRF-005",
     RefusedError,
     "The scanned surface does not have the shape of the head in the CT.",
-    "Check that this is the CT of the patient on the table; clear the skin of hands and drapes, and scan "
-    "again.",
+    "Check that this is the CT of the patient on the table, and the clamp: a head that slipped in it during "
+    "the scan looks like another one. Clear the skin of hands and drapes, and scan again.",
 )
 
 
@@ -67,8 +67,9 @@ SKIN_CHANGED = ErrorCode(
     "SRF-008",
     RefusedError,
     "The skin is not where it was in the CT over a large part of the scan.",
-    "Take off what presses on the skin, and scan again; or begin a new run with more screws than now: up "
-    "to three beside the skin (`mixed`), or spheres alone.",
+    "Check the clamp: a head that slipped in it during the scan looks like that. Take off what presses on "
+    "the skin, and scan again; or begin a new run with more screws than now: up to three beside the skin "
+    "(`mixed`), or spheres alone.",
 )
 
 

@@ -127,6 +127,11 @@ def test_skin_that_moved_over_a_third_is_refused_by_name(heads, scan_of):
         register_surface(made.scan, heads[0], made.start)
 
 
+@pytest.mark.parametrize("refusal", [OTHER_HEAD, SKIN_CHANGED, HEAD_MOVED], ids=lambda one: one.code)
+def test_the_clamp_is_named_where_a_head_that_slipped_looks_like_that(refusal):
+    assert "clamp" in refusal.action
+
+
 def test_eyes_that_swell_are_named(heads, scan_of):
     def swell(places):
         middle = np.abs(places[:, 0]) < 55.0
