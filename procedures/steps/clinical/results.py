@@ -119,6 +119,7 @@ class ScannedLook(Values):
     number: NonNegativeInt = Field(description="Of the look, as planned.")
     lines: tuple[ScannedLine, ...] = Field(description="Lines with points, in the order of the scan.")
     reason: str = Field(default="", description="Why a line shows no skin, if one does not.")
+    code: str = Field(default="", description="Code of the error that is the reason.")
     theatre_s: float = Field(description="Theatre time that it took, with the way to it.")
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.registration.surface.errors import NOTHING_LIT
+from procedures.relocalization.errors import Saturated
 from procedures.relocalization.triangulation import camera_model
 from procedures.room.sighting import Tracked
 from procedures.steps.clinical.path_check import LocalizationPose
@@ -28,6 +29,11 @@ CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; t
 FEWEST_DARK = 5  # looks without a line that end a scan early; whole cases had two dark ones at most
 DECIMALS = 4  # of a point in the record, mm
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
+SATURATED, DARK, UNREACHED = "saturated", "dark", "unreached"  # looks without a line
+LESS_LIGHT = (
+    "Too much light reaches a camera: shorten the exposure or lower the gain, turn lamps away from the head "
+    "and shade it from the sun; then scan again."
+)
 
 
 class LookScanner:
@@ -43,7 +49,17 @@ class LookScanner:
     ) -> None:
         self._context, self._number, self._look = context, number, look
         self._centring, self._sides, self._across_mm = centring, centring.arriving, across_mm
-        self.reason = ""
+        self._problem: RonnaError | None = None
+
+    @property
+    def reason(self) -> str:
+        """Why a line does not show, if one does not."""
+        return "" if self._problem is None else self._problem.summary
+
+    @property
+    def code(self) -> str:
+        """Code of the reason."""
+        return "" if self._problem is None else self._problem.code
 
     def scan(self) -> list[ScannedLine]:
         """Return the lines that show, with `reason` for those that do not."""
@@ -56,14 +72,14 @@ class LookScanner:
             except RonnaError as problem:
                 if not is_error(problem, *LEFT_OUT):
                     raise
-                self.reason = problem.summary
+                self._problem = self._problem or problem  # what a picture shows says more
                 continue
             if place == 0 and self._number % CHECKED_LOOKS == 0:
                 name = f"at look {self._number + 1}"
                 check_room(self._context, name, sides={Tracked.ARM: self._sides})
             seen = workcell.look_at_line()
             if seen.points is None or not len(seen.points.points_mm):
-                self.reason = "" if seen.problem is None else seen.problem.summary
+                self._problem = seen.problem
             else:
                 lines.append(self._record(seen))
         return lines
@@ -98,16 +114,32 @@ def is_dark_so_far(looks: Sequence[ScannedLook], planned: int, fewest: int) -> b
     return len(looks) >= max(planned - fewest + 1, FEWEST_DARK) and not any(one.lines for one in looks)
 
 
-def require_lines(lines: Sequence[ScannedLine], dark: Mapping[str, str], planned: int) -> None:
-    """Raise SRF-032 without any line; `dark` has the reasons by look of those that were taken."""
-    if not lines:
-        reason = next(iter(dark.values()), "") or "nothing"
-        none = "no look shows" if len(dark) >= planned else f"none of the first {len(dark)} looks shows"
-        raise NOTHING_LIT(
-            f"{none} the line: {reason}",
-            expected="a line",
-            got=f"{format_count(len(dark), 'dark look')} of {planned} planned",
-        )
+def require_lines(looks: Sequence[ScannedLook], planned: int) -> None:
+    """Raise SRF-032 if no look shows a line, for saturated pictures as such."""
+    if any(one.lines for one in looks):
+        return
+    none = "no look shows" if len(looks) >= planned else f"none of the first {len(looks)} looks shows"
+    raise _refuse_unlit(f"{none} the line", looks, planned)
+
+
+def _refuse_unlit(what: str, unlit: Sequence[ScannedLook], planned: int) -> RonnaError:
+    """Return SRF-032 for looks without a line, by what most of them that the arm could take have shown."""
+    by_kind = {kind: [one for one in unlit if _kind_of(one) == kind] for kind in (SATURATED, DARK, UNREACHED)}
+    is_saturated = len(by_kind[SATURATED]) > len(by_kind[DARK])
+    first = by_kind[SATURATED if is_saturated else DARK] or unlit
+    counted = [format_count(len(found), f"{kind} look") for kind, found in by_kind.items() if found]
+    return NOTHING_LIT(
+        f"{what}: {first[0].reason or 'nothing'}",
+        expected="a line",
+        got=f"{', '.join(counted)} of {planned} planned",
+        action=LESS_LIGHT if is_saturated else None,
+    )
+
+
+def _kind_of(unlit: ScannedLook) -> str:
+    if unlit.code == Saturated.code:
+        return SATURATED
+    return UNREACHED if unlit.code in {one.code for one in LEFT_OUT} else DARK
 
 
 def _rounded(points_mm: Array) -> Array:

@@ -108,7 +108,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     lines = [line for one in looks for line in one.lines]
     for number, reason in dark.items():
         context.find(f"look {number} at the skin shows no line: {reason}")
-    require_lines(lines, dark, len(planned))
+    require_lines(looks, len(planned))
     over_skin = Centring(workcell, None, LINE_AREA_PX, context.setting.settings.approach_mm)
     if over_skin.is_over_sphere:
         over_skin.back_off()
@@ -164,7 +164,8 @@ def _take_looks(
         scanner = LookScanner(context, number, planned[number], centring)
         lines = tuple(scanner.scan())
         theatre_s = read_time_s(workcell) - began_s
-        looks.append(ScannedLook(number=number, lines=lines, reason=scanner.reason, theatre_s=theatre_s))
+        reason = {"reason": scanner.reason, "code": scanner.code}
+        looks.append(ScannedLook(number=number, lines=lines, **reason, theatre_s=theatre_s))
         if lines:
             workcell.record_scanned_look(_name_of(context), looks[-1].model_dump(mode="json"))
         coverage.add(_points_in_ct(context, lines))

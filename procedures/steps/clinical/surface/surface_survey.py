@@ -211,7 +211,7 @@ def _look(
     dark = {str(one.number + 1): one.reason for one in looked if not one.lines}
     for name, reason in dark.items():
         context.find(f"first look {name} at the skin shows no line: {reason}")
-    require_lines([line for one in looked for line in one.lines], dark, len(looks))
+    require_lines(looked, len(looks))
     return looked
 
 
@@ -230,7 +230,8 @@ def take_looks(context: StepContext, looks: Sequence[Reached], centring: Centrin
         scanner = LookScanner(context, number, _as_look(number, one), centring, ACROSS_MM)
         lines = tuple(scanner.scan())
         theatre_s = read_time_s(workcell) - began_s
-        done[number] = ScannedLook(number=number, lines=lines, reason=scanner.reason, theatre_s=theatre_s)
+        reason = {"reason": scanner.reason, "code": scanner.code}
+        done[number] = ScannedLook(number=number, lines=lines, **reason, theatre_s=theatre_s)
         if lines:
             workcell.record_scanned_look(name, done[number].model_dump(mode="json"))
         if is_dark_so_far(tuple(done.values()), len(looks), FEWEST_VIEWS):

@@ -40,7 +40,7 @@ from procedures.registration.surface.errors import (
     TWO_POSES,
 )
 from procedures.registration.surface.surface import Surface
-from procedures.relocalization.errors import NoLine, PairNotUsable
+from procedures.relocalization.errors import NoLine, PairNotUsable, Saturated
 from procedures.relocalization.laser_line import LineImage
 from procedures.runs.case import strategy_of
 from procedures.runs.request import CaseProcedure
@@ -53,16 +53,18 @@ from procedures.steps.clinical.results import (
     RegisteredRobot,
     Relocalization,
     ScannedLine,
+    ScannedLook,
     ScannedSurface,
 )
 from procedures.steps.clinical.surface import skin_in_ct, surface_paths
 from procedures.steps.clinical.surface.head_measurement import BY_TAPE
 from procedures.steps.clinical.surface.landmark_reading import BY_POINTER, LandmarkReading, place_head
-from procedures.steps.clinical.surface.look_scanner import require_lines
+from procedures.steps.clinical.surface.look_scanner import LookScanner, require_lines
 from procedures.steps.clinical.surface.repeated_work import repeat_if_refused
 from procedures.steps.clinical.surface.surface_registration import repeats
 from procedures.workcell import line_look, workcell
 from procedures.workcell.stereo_look import TRUSTED_BGR, pair_picture
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.arrays import Array
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
@@ -219,7 +221,48 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.branch("DARK_SCAN")
 def test_a_scan_without_any_line_is_refused_with_the_reason() -> None:
     with raises(NOTHING_LIT, match="no laser line"):
-        require_lines([], {"1": "no laser line in view"}, 1)
+        require_lines([look("no laser line in view")], 1)
+
+
+SATURATED_LOOK = Saturated("the image is saturated", limit="50%", got="100% of it")
+
+
+def look(reason: str, code: str = NoLine.code) -> ScannedLook:
+    return ScannedLook(number=0, lines=(), reason=reason, code=code, theatre_s=1.0)
+
+
+@pytest.mark.branch("DARK_SCAN")
+def test_saturated_pictures_are_counted_and_advised_as_such() -> None:
+    beside = NotClear("the way is not clear")
+    dark, saturated, unreached = (
+        look(one.summary, one.code) for one in (NoLine("no laser line in view"), SATURATED_LOOK, beside)
+    )
+    with raises(NOTHING_LIT) as refused:
+        require_lines([unreached, saturated, dark, saturated], 13)
+    assert refused.value.what == f"none of the first 4 looks shows the line: {SATURATED_LOOK.summary}"
+    assert refused.value.got == "2 saturated looks, 1 dark look, 1 unreached look of 13 planned"
+    assert "shorten the exposure" in refused.value.advice
+    assert "projector" not in refused.value.advice
+    with raises(NOTHING_LIT, match=r"no laser line.*2 dark looks, 1 unreached look.*the projector lights"):
+        require_lines([unreached, dark, dark], 3)
+
+
+@pytest.mark.parametrize(("seen", "code"), [(SATURATED_LOOK, Saturated.code), (None, "")])
+def test_a_look_says_by_its_picture_why_it_shows_no_line_and_not_by_its_way(seen, code: str) -> None:
+    def go_over(place: object, _joints_rad: object) -> None:
+        if place == "beside":
+            raise NotClear("the way is not clear")
+
+    places = iter(["there", "there", "beside"])
+    tool_pose = SimpleNamespace(rotation_matrix=np.eye(3), displace=lambda _way: next(places))
+    planned = SimpleNamespace(tool_pose=SimpleNamespace(transform=tool_pose), approach_rad=None)
+    workcell = SimpleNamespace(look_at_line=lambda: SimpleNamespace(points=None, problem=seen))
+    centring = SimpleNamespace(arriving=None, go_over=go_over)
+    scanner = LookScanner(
+        context_of(**vars(workcell)), 1, cast(Any, planned), cast(Any, centring), (0.0,) * 3
+    )
+    assert scanner.scan() == []
+    assert scanner.code == (code or NotClear.code)
 
 
 @pytest.mark.parametrize("usable", [True, False])
