@@ -232,6 +232,7 @@ def check_case(request: RunRequest, out: Path) -> None:
         if request.answers is not None:
             request.answers.check_trajectories([one.id for one in plan.trajectories])
         if request.config is None:
+            require_planned_fiducials(case_procedure.plan, plan.fiducials, request.choice)
             require_simulated_patient(case_procedure.plan, plan.series_instance_uid, request.choice)
     if request.faults is not None:
         from procedures.engine.order import Scope
@@ -268,6 +269,20 @@ def require_space(out: Path) -> None:
             f"no case was started in {out}: {shortage}",
             action=f"Nothing was written. {choose[0].upper()}{choose[1:]}",
         )
+
+
+def require_planned_fiducials(plan_file: Path, planned: FiducialKind, choice: SceneChoice) -> None:
+    """Raise CLI-001 if a plan is for other fiducials than a simulated patient has.
+
+    Those of a scene file are read only later.
+    """
+    if choice.has_own_fiducials or planned == choice.fiducials:
+        return
+    raise UsageMistake(
+        f"{plan_file.name} has fiducials {planned}, and the simulated patient --fiducials {choice.fiducials}",
+        expected="a patient with the fiducials of the plan",
+        action=f'Add --fiducials {planned}, or write fiducials = "{choice.fiducials}" into the plan.',
+    )
 
 
 def require_simulated_patient(plan_file: Path, series_instance_uid: str, choice: SceneChoice) -> None:

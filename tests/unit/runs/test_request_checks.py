@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from coded_errors import raises
 from painted_ct import SERIES_UID, write_series
+from prepared_results import plan
 from pydicom.dataset import Dataset
 
 from procedures.engine.methods import CaseMethods, Matcher
 from procedures.imaging.localizers import Localizer
 from procedures.journal import free_space
 from procedures.planning.errors import WRONG_SERIES
+from procedures.planning.plan_file import write_plan
 from procedures.planning.plan_model import FiducialKind
 from procedures.runs import request_checks
 from procedures.runs.fault_script import check_fault_script, list_unreached_faults
@@ -211,6 +213,26 @@ def test_options_that_mean_nothing_with_a_scan_of_the_skin_are_refused(
     with raises(UsageMistake, match=f"CLI-001: {words}.*; expected .* Omit --"):
         require_fitting_options(case, fiducials)
     require_fitting_options(case, FiducialKind.FREE)
+
+
+@pytest.mark.parametrize(
+    ("planned", "given"), [("free", "mixed"), ("mixed", "surface"), ("surface", "free"), ("xframe", "free")]
+)
+def test_a_plan_for_other_fiducials_than_the_patient_has_is_refused(
+    tmp_path: Path, planned: str, given: str
+) -> None:
+    kind, file = FiducialKind(planned), tmp_path / "plan.toml"
+    count = min(4, kind.fewest_and_most[1])
+    write_plan(file, plan().model_copy(update={"fiducials": kind, "implanted": count}))
+
+    def check(choice: SceneChoice) -> None:
+        request = RunRequest(procedure=CaseProcedure(plan=file), choice=choice)
+        request_checks.check_case(request, tmp_path / "runs")
+
+    words = f"plan.toml has fiducials {planned}, and the simulated patient --fiducials {given}"
+    with pytest.raises(UsageMistake, match=rf"CLI-001: {words}.*Add --fiducials {planned}, or write"):
+        check(SceneChoice("mini", fiducials=given))
+    check(SceneChoice("mini", fiducials=planned))
 
 
 @pytest.mark.parametrize("strategy", STRATEGY_NAMES)
