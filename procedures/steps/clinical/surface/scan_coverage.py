@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from procedures.engine.events import ExpectedError, ScanProgress
+from procedures.planning.fiducial_choice import SPHERE_SD_MM
 from procedures.registration.surface.errors import LITTLE_COVERAGE
-from procedures.registration.surface.stations import PLANNED_POINTS, expect_error
+from procedures.registration.surface.stations import PLANNED_POINTS, ExpectedPose
 from procedures.registration.surface.surface import Surface
 from procedures.registration.surface.thinning import thin_points
 from procedures.steps.clinical.surface.surface_paths import SEEN_MM
@@ -30,11 +31,16 @@ DETERMINED_MM = 10.0
 class ScanCoverage:
     """Places of the skin around the middles of looks (n, 3), and those covered; all in the CT, mm.
 
-    `targets_mm` has the place of each target by its name.
+    `targets_mm` has the place of each target by its name. `spheres_mm` (m, 3) are looked at after the skin:
+    the error to expect counts them from the start.
     """
 
     def __init__(
-        self, skin: Surface, middles_mm: ArrayLike, targets_mm: Mapping[str, Sequence[float]]
+        self,
+        skin: Surface,
+        middles_mm: ArrayLike,
+        targets_mm: Mapping[str, Sequence[float]],
+        spheres_mm: ArrayLike = (),
     ) -> None:
         places_mm = skin.points_mm
         apart, _ = cKDTree(middles_mm).query(places_mm, distance_upper_bound=SEEN_MM)
@@ -43,6 +49,7 @@ class ScanCoverage:
         self._shown = thin_points(self._places, SHOWN_PLACES)
         self._covered = np.zeros(len(self._places), dtype=bool)
         self._targets = targets_mm
+        self._spheres = np.asarray(spheres_mm, dtype=float).reshape(-1, 3)
         self._expected: list[list[float]] = []  # mm rms at each target after each look
 
     def add(self, points_mm: Array) -> None:
@@ -77,12 +84,14 @@ class ScanCoverage:
         places, normals = self._places[self._covered], self._normals[self._covered]
         rows = thin_points(places, PLANNED_POINTS)
         try:
-            expected = expect_error(places[rows], normals[rows], list(self._targets.values()))
+            pose = ExpectedPose.of(places[rows], normals[rows])
         except RonnaError as problem:
             if not is_error(problem, LITTLE_COVERAGE):
                 raise
             return unknown
-        return [one.rms_mm for one in expected]
+        if len(self._spheres):
+            pose = pose.with_spheres(self._spheres, SPHERE_SD_MM)
+        return [pose.at(np.asarray(one, dtype=float)).rms_mm for one in self._targets.values()]
 
 
 def _told(rms_mm: float) -> float | None:

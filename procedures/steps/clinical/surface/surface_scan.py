@@ -15,6 +15,7 @@ from procedures.engine.events import ScanProgress
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.correspondence import SurfaceStart
 from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import (
     CheckedPaths,
     announce_motions,
@@ -145,11 +146,14 @@ def _take_looks(
     One that shows no line is not kept.
     """
     planned, workcell, plan = paths.skin_looks, context.workcell, context.result(CheckedPlan)
-    ct_from_robot = context.result(SurfaceStart).robot_from_ct.transform.inverse()
+    start = context.result(SurfaceStart)
+    ct_from_robot = start.robot_from_ct.transform.inverse()
+    paired = [fiducial for fiducial, _ in start.pairs]
     coverage = ScanCoverage(
         skin_of(context),
         ct_from_robot.apply([one.tool_pose.transform.translation_mm for one in planned]),
         {target: plan.trajectory(target).target_mm for target in context.served_trajectories},
+        context.result(LocalizedFiducials).centres_mm[paired] if paired else (),
     )
     looks = list(kept)
     for one in kept:

@@ -112,7 +112,7 @@ class Scan:
         paths = SimpleNamespace(skin_looks=looks)
         trajectory = SimpleNamespace(target_mm=(50.0, 20.0, -60.0))
         result = SimpleNamespace(
-            robot_from_ct=SimpleNamespace(transform=POSE), trajectory=lambda _name: trajectory
+            robot_from_ct=SimpleNamespace(transform=POSE), pairs=(), trajectory=lambda _name: trajectory
         )
         context = cast(
             StepContext,
@@ -262,6 +262,25 @@ def test_the_error_that_is_expected_at_each_target_falls_look_by_look() -> None:
         assert known[-1] < known[0]
     last = [one.rms_mm[-1] for one in state.expected]
     assert state.predicted_error_mm == pytest.approx(np.sqrt(np.mean(np.square(last))))
+
+
+def test_spheres_beside_the_skin_count_in_the_error_that_is_expected_of_a_scan() -> None:
+    dome = Dome()
+    looks = dome.points_mm[:: len(dome.points_mm) // 6][:6]
+    targets = {"deep": (0.0, 0.0, 0.0), "shallow": (0.0, -60.0, 40.0)}
+    screws_mm = np.array([[30.0, -50.0, 70.0], [-40.0, -30.0, 75.0], [5.0, -85.0, 45.0]])
+
+    def expect(count: int) -> float:
+        coverage = ScanCoverage(cast(Surface, dome), looks, targets, screws_mm[:count])
+        for look in looks:
+            coverage.add(dome.points_mm[np.linalg.norm(dome.points_mm - look, axis=1) < 12.0])
+        error_mm = coverage.after(6).predicted_error_mm
+        assert error_mm is not None
+        return error_mm
+
+    by_count = [expect(count) for count in range(4)]
+    assert by_count == sorted(by_count, reverse=True)
+    assert by_count[3] < 0.75 * by_count[0]
 
 
 def test_kept_looks_are_lines_of_the_journal() -> None:
