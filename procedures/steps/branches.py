@@ -328,10 +328,11 @@ FEW_LOOKS = Branch(
     (NO_STATIONS,),
 )
 DARK_SCAN = Branch(
-    "no look at the skin shows the line of light",
+    "no look at the skin shows the line of light, or none any more",
     "pairs of pictures with the light and without",
     ("surface_scan",),
-    "nothing is registered; projector and cameras are checked, and the skin is scanned again",
+    "nothing is registered; projector, light and cameras are checked, and the looks without a line are taken "
+    "again",
     (NOTHING_LIT,),
 )
 UNMEASURED_BESIDE_SKIN = Branch(

@@ -88,6 +88,9 @@ BAD = {
     "a projector that stays dark": Bad(
         "surface_scan", ("SRF-032",), faults=f"{SCANNING}: camera projector dark"
     ),
+    "a projector that goes out": Bad(
+        "surface_scan", ("SRF-032",), faults=f"{SCANNING} after 25 s: camera projector dark"
+    ),
     "a hand in the scan": Bad(
         "surface_registration", ("SRF-005", "SRF-010"), faults=f"{SCANNING}: camera hand 2 mm"
     ),

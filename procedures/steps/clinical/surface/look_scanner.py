@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import takewhile
 
 import numpy as np
 
@@ -26,13 +27,17 @@ from ronna_hw.vectors import vector3
 SMALL_STEPS = "the small steps across each place on the skin"
 ACROSS_MM = (-9.0, -3.0, 3.0, 9.0)  # places of the line across a look, along the tool's y axis
 CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
-FEWEST_DARK = 5  # looks without a line that end a scan early; whole cases had two dark ones at most
+FEWEST_DARK = 5  # looks in a row without a line that end a scan; whole cases had two dark ones at most
 DECIMALS = 4  # of a point in the record, mm
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
 SATURATED, DARK, UNREACHED = "saturated", "dark", "unreached"  # looks without a line
 LESS_LIGHT = (
     "Too much light reaches a camera: shorten the exposure or lower the gain, turn lamps away from the head "
     "and shade it from the sun; then scan again."
+)
+GONE_OUT = "Check that the projector still lights and its window is clean, and that no drape has fallen over the face."
+LOOKS_KEPT = (
+    "The looks that show the line are kept: resume the run, or repeat the step, and the others are taken."
 )
 
 
@@ -114,6 +119,26 @@ def is_dark_so_far(looks: Sequence[ScannedLook], planned: int, fewest: int) -> b
     return len(looks) >= max(planned - fewest + 1, FEWEST_DARK) and not any(one.lines for one in looks)
 
 
+def has_gone_out(looks: Sequence[ScannedLook]) -> bool:
+    """Return whether a line that showed shows no more: hair is behind a few looks in a row, not so many."""
+    return any(one.lines for one in looks) and len(_unlit_at_end(looks)) >= FEWEST_DARK
+
+
+def require_line_to_the_end(looks: Sequence[ScannedLook], planned: int) -> None:
+    """Raise SRF-032 if a line that showed shows no more, in the order in which the looks were taken."""
+    if not has_gone_out(looks):
+        return
+    unlit = _unlit_at_end(looks)
+    what = f"the line showed at first, and not at the last {len(unlit)} looks"
+    raise _refuse_unlit(what, unlit, planned, GONE_OUT, LOOKS_KEPT)
+
+
+def _unlit_at_end(looks: Sequence[ScannedLook]) -> list[ScannedLook]:
+    """Return the last looks without a line, but those that the arm could not take: they say nothing of it."""
+    tried = [one for one in looks if one.lines or _kind_of(one) != UNREACHED]
+    return list(takewhile(lambda one: not one.lines, reversed(tried)))[::-1]
+
+
 def require_lines(looks: Sequence[ScannedLook], planned: int) -> None:
     """Raise SRF-032 if no look shows a line, for saturated pictures as such."""
     if any(one.lines for one in looks):
@@ -122,8 +147,13 @@ def require_lines(looks: Sequence[ScannedLook], planned: int) -> None:
     raise _refuse_unlit(f"{none} the line", looks, planned)
 
 
-def _refuse_unlit(what: str, unlit: Sequence[ScannedLook], planned: int) -> RonnaError:
-    """Return SRF-032 for looks without a line, by what most of them that the arm could take have shown."""
+def _refuse_unlit(
+    what: str, unlit: Sequence[ScannedLook], planned: int, if_dark: str = NOTHING_LIT.action, then: str = ""
+) -> RonnaError:
+    """Return SRF-032 for looks without a line, by what most of them that the arm could take have shown.
+
+    `if_dark` is what to do if they are dark, and `then` what follows in any case.
+    """
     by_kind = {kind: [one for one in unlit if _kind_of(one) == kind] for kind in (SATURATED, DARK, UNREACHED)}
     is_saturated = len(by_kind[SATURATED]) > len(by_kind[DARK])
     first = by_kind[SATURATED if is_saturated else DARK] or unlit
@@ -132,7 +162,7 @@ def _refuse_unlit(what: str, unlit: Sequence[ScannedLook], planned: int) -> Ronn
         f"{what}: {first[0].reason or 'nothing'}",
         expected="a line",
         got=f"{', '.join(counted)} of {planned} planned",
-        action=LESS_LIGHT if is_saturated else None,
+        action=f"{LESS_LIGHT if is_saturated else if_dark} {then}".rstrip(),
     )
 
 

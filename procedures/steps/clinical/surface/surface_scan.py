@@ -28,8 +28,10 @@ from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surface.look_scanner import (
     SMALL_STEPS,
     LookScanner,
+    has_gone_out,
     is_dark_so_far,
     read_time_s,
+    require_line_to_the_end,
     require_lines,
 )
 from procedures.steps.clinical.surface.scan_coverage import ScanCoverage, describe_scan
@@ -58,7 +60,8 @@ OF_LINES = (
 def run(context: StepContext) -> Outcome[ScannedSurface]:
     """Scan the skin from all looks of the path check, once for all trajectories, and localize the spheres.
 
-    Raises SRF-032 if no look shows a line, PRO-007, and for spheres PRO-008, PRO-009, STE-014.
+    Raises SRF-032 if no look shows a line, or none any more, PRO-007, and for spheres PRO-008, PRO-009,
+    STE-014.
     """
     paths = context.result(CheckedPaths)
     before = None  # the scan of another trajectory; who repeats this step has the skin scanned again
@@ -110,6 +113,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
     for number, reason in dark.items():
         context.find(f"look {number} at the skin shows no line: {reason}")
     require_lines(looks, len(planned))
+    require_line_to_the_end(looks, len(planned))
     over_skin = Centring(workcell, None, LINE_AREA_PX, context.setting.settings.approach_mm)
     if over_skin.is_over_sphere:
         over_skin.back_off()
@@ -173,7 +177,7 @@ def _take_looks(
         if lines:
             workcell.record_scanned_look(_name_of(context), looks[-1].model_dump(mode="json"))
         coverage.add(_points_in_ct(context, lines))
-        if is_dark_so_far(looks, len(planned), FEWEST_VIEWS):
+        if is_dark_so_far(looks, len(planned), FEWEST_VIEWS) or has_gone_out(looks):
             break
     state = coverage.after(len(planned))
     context.progress(1.0, describe_scan(state), state)

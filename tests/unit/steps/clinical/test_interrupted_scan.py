@@ -15,13 +15,20 @@ from procedures.engine.events import ScanProgress
 from procedures.journal.journal import Entry, Line
 from procedures.registration.surface.errors import NOTHING_LIT
 from procedures.registration.surface.surface import Surface
+from procedures.relocalization.errors import Saturated
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import ScannedLine, ScannedLook
 from procedures.steps.clinical.surface import surface_scan, surface_survey
-from procedures.steps.clinical.surface.look_scanner import require_lines
+from procedures.steps.clinical.surface.look_scanner import (
+    FEWEST_DARK,
+    has_gone_out,
+    require_line_to_the_end,
+    require_lines,
+)
 from procedures.steps.clinical.surface.scan_coverage import ScanCoverage, describe_scan
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.workcell import Workcell
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.frames import Frame, Transform
 
 LOOKS, DARK = 5, 1  # number of the look that shows no line
@@ -301,6 +308,39 @@ def test_a_projector_that_does_not_light_is_told_before_all_looks_are_taken(
         NOTHING_LIT, match=f"none of the first {taken} looks shows the line.*{taken} dark looks of 12"
     ):
         require_lines(looks, 12)
+
+
+@pytest.mark.branch("DARK_SCAN")
+@pytest.mark.parametrize(("lit", "taken"), [(2, 7), (5, 10), (7, 12), (8, 12)])
+def test_a_projector_that_goes_out_is_told_while_looks_are_left(scan: Scan, lit: int, taken: int) -> None:
+    scan.count = scan.stops_at = 12
+    scan.dark = set(range(lit, 12))
+    looks = scan.take()
+    assert len(looks) == taken
+    require_lines(looks, 12)
+    if taken - lit < FEWEST_DARK:
+        require_line_to_the_end(looks, 12)
+        return
+    said = "not at the last 5 looks.*5 dark looks of 12 planned.*the projector still lights.*are kept"
+    with raises(NOTHING_LIT, match=said):
+        require_line_to_the_end(looks, 12)
+
+
+def test_looks_that_the_arm_cannot_take_say_nothing_of_the_projector() -> None:
+    lit, dark = (ScannedLook(number=0, lines=lines, theatre_s=1.0) for lines in ((line_of(0),), ()))
+    beside = dark.model_copy(update={"code": NotClear.code})
+    assert not has_gone_out([lit, *[dark] * 4, beside])
+    assert has_gone_out([lit, *[dark] * 4, beside, dark])
+    assert not has_gone_out([lit, *[dark] * 4, lit, dark])
+    saturated = dark.model_copy(update={"code": Saturated.code})
+    with raises(NOTHING_LIT, match="5 saturated looks of 13 planned.*shorten the exposure.*are kept"):
+        require_line_to_the_end([lit, *[saturated] * 5], 13)
+
+
+def test_first_looks_beside_the_head_do_not_mean_that_the_projector_has_gone_out(scan: Scan) -> None:
+    scan.count = scan.stops_at = 12
+    scan.dark = set(range(6, 12))
+    assert len(scan.survey()) == 12
 
 
 @pytest.mark.parametrize("take", [Scan.take, Scan.survey])
