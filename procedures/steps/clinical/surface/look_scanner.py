@@ -35,7 +35,10 @@ LESS_LIGHT = (
     "Too much light reaches a camera: shorten the exposure or lower the gain, turn lamps away from the head "
     "and shade it from the sun; then scan again."
 )
-GONE_OUT = "Check that the projector still lights and its window is clean, and that no drape has fallen over the face."
+GONE_OUT = (
+    "Check that the projector still lights, that its window is clean, and that no drape has fallen over the "
+    "face."
+)
 LOOKS_KEPT = (
     "The looks that show the line are kept: resume the run, or repeat the step, and the others are taken."
 )
