@@ -65,6 +65,12 @@ class NotRecorded(DataError):
     action = "This part of the run cannot be recomputed; its records remain valid."
 
 
+class ReadingsChanged(NotRecorded):
+    """Readings that a replay needs are not as the run recorded them."""
+
+    action = "The file was changed after the run: ronna-procedure verify lists what was."
+
+
 REPLAY_DIFFERS = ErrorCode(
     "PRO-025",
     RonnaError,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from procedures.engine.errors import NotRecorded
+from procedures.engine.errors import NotRecorded, ReadingsChanged
 from procedures.engine.methods import CaseMethods
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry
@@ -166,7 +166,7 @@ class RecordedAnswers:
         except NotRecorded:
             raise
         except (ValueError, KeyError, TypeError) as error:
-            raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
+            raise ReadingsChanged(f"the answer of {device} to {call} is damaged: {error}") from error
         return RecordedAnswer(line.state, value, properties)
 
     def value_of(self, device: str, call: str, plain: object, kind: object) -> object:
@@ -176,17 +176,20 @@ class RecordedAnswers:
         except NotRecorded:
             raise
         except (ValueError, KeyError, TypeError) as error:
-            raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
+            raise ReadingsChanged(f"the answer of {device} to {call} is damaged: {error}") from error
 
     def _get_pixels(self, where: object) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        place = _PixelsAt.model_validate(where)
+        place, packed = _PixelsAt.model_validate(where), b""
         try:
             with open_regular(self._pixels) as file:
                 file.seek(place.at)
-                return reading_coding.unpack_pixels(file.read(place.count), place.shape, place.type)
+                packed = file.read(place.count)
+            return reading_coding.unpack_pixels(packed, place.shape, place.type)
         except (OSError, ValueError) as error:
             why = error.summary if isinstance(error, InputRefused) else str(error)
-            raise NotRecorded(f"the pixels at byte {place.at} of {PIXELS_FILE} are damaged: {why}") from error
+            # A file that ends before them has lost its last block, as after a power failure.
+            kind = ReadingsChanged if len(packed) == place.count else NotRecorded
+            raise kind(f"the pixels at byte {place.at} of {PIXELS_FILE} are damaged: {why}") from error
 
 
 def read_answers(run: Path) -> RecordedAnswers:

@@ -13,7 +13,7 @@ from pathlib import Path
 from procedures.engine.case import Case
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.errors import NotRecorded
+from procedures.engine.errors import NotRecorded, ReadingsChanged
 from procedures.engine.order import CaseOrder, StepSpec
 from procedures.engine.replay.recorded_answers import BEGINS, RecordedAnswers
 from procedures.engine.replay.recorded_people import (
@@ -55,6 +55,7 @@ class ReplayVerdict(StrEnum):
     ROUNDED = "rounded"
     DIFFERENT = "different"
     NOT_RECORDED = "not recorded"
+    CHANGED = "changed"
     NO_RESULT = "no result"
 
 
@@ -263,7 +264,8 @@ class _Replay:
             why = f"not computed: {error.summary}"
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (why,))
         except NotRecorded as error:
-            self._uncomputed = ReplayVerdict.NOT_RECORDED
+            is_changed = isinstance(error, ReadingsChanged)
+            self._uncomputed = ReplayVerdict.CHANGED if is_changed else ReplayVerdict.NOT_RECORDED
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (error.summary,))
         except Exception as error:  # other numbers may fail anywhere in a step
             self._uncomputed = ReplayVerdict.DIFFERENT

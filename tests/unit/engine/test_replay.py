@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from bounded_cost import bounded_cost
 from handmade_ur import UR5E_A, HandmadeController
@@ -19,7 +20,7 @@ from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTh
 from drivers.kuka_rsi.errors import STREAM_ERRORS
 from drivers.universal_robots import UniversalRobotsArm
 from procedures.engine.context import StepContext
-from procedures.engine.errors import NotRecorded
+from procedures.engine.errors import NotRecorded, ReadingsChanged
 from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.replay.recorded_answers import iterate_readings, read_answers, section_follower
 from procedures.engine.replay.recorded_people import KNOWN_MEMBERS, RecordedOperator, make_stand_in
@@ -34,9 +35,16 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import StereoReading
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.recording.reading_coding import PIXELS
-from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, tape_device
+from ronna_hw.recording.reading_coding import PIXELS, pack_pixels
+from ronna_hw.recording.reading_tape import (
+    PIXELS_FILE,
+    READINGS_FILE,
+    READINGS_FOLDER,
+    ReadingTape,
+    tape_device,
+)
 from ronna_hw.roles import ASSISTANT, MASTER
 
 STRETCHED_RAD = (0.0,) * 6
@@ -383,6 +391,37 @@ def test_a_result_that_needs_missing_recordings_is_not_called_different(tmp_path
     recorded.edit(forget)
     found = verdicts(recorded.replayed())
     assert found == {"image": EQUAL, "localization:T1": NOT_RECORDED, "fit:T1": NOT_RECORDED}
+
+
+def test_a_result_from_changed_recordings_is_called_changed(tmp_path: Path) -> None:
+    recorded = Recorded(tmp_path)
+    recorded.run(*CASE[:3])
+
+    def spoil(line: dict[str, Any]) -> None:
+        if line["call"] == "read_state":
+            line["answer"]["joints_rad"] = "none"
+
+    recorded.edit(spoil)
+    changed = ReplayVerdict.CHANGED
+    assert verdicts(recorded.replayed()) == {"image": EQUAL, "localization:T1": changed, "fit:T1": changed}
+
+
+def test_changed_pixels_are_told_from_those_that_a_power_failure_has_cost(tmp_path: Path) -> None:
+    folder = tmp_path / READINGS_FOLDER
+    ReadingTape(folder, lambda: 1.0, {}).close()
+    packed = pack_pixels(np.arange(600, dtype=np.uint8).reshape(20, 30))
+    place = {PIXELS: {"at": 0, "bytes": len(packed), "shape": [20, 30], "type": "uint8"}}
+
+    def load() -> object:
+        return read_answers(tmp_path).value_of("stereo", "grab_pair", {"left": place}, StereoReading)
+
+    (folder / PIXELS_FILE).write_bytes(packed[:-1] + bytes([packed[-1] ^ 1]))
+    with pytest.raises(ReadingsChanged, match=r"PRO-024.*damaged.*verify lists"):
+        load()
+    (folder / PIXELS_FILE).write_bytes(packed[:-5])
+    with pytest.raises(NotRecorded, match="damaged") as lost:
+        load()
+    assert not isinstance(lost.value, ReadingsChanged)
 
 
 def test_a_step_that_failed_and_was_repeated_is_replayed_both_times(tmp_path: Path) -> None:
