@@ -134,14 +134,16 @@ def require_fitting_options(case: CaseProcedure, fiducials: FiducialKind) -> Non
     in_ct = "spheres in the CT"
     by_distances = "spheres paired by their distances; beside the skin, landmarks tell them apart"
     default = CaseProcedure()
+    at_outlines = "spheres, whose outlines it changes: a line of light is read without it"
     for option, given, usual, is_idle, expected in (
         ("--strategy", case.strategy, default.strategy, without_spheres, at_spheres),
         ("--localizer", case.methods.localizer, default.methods.localizer, without_spheres, in_ct),
         ("--matcher", case.methods.matcher, default.methods.matcher, fiducials.has_skin, by_distances),
+        ("--enhance-contrast", case.methods.enhance_contrast, False, without_spheres, at_outlines),
     ):
         if is_idle and given != usual:
             raise UsageMistake(
-                f"{option} {given} has no effect with fiducials {fiducials}",
+                f"{option}{'' if given is True else f' {given}'} has no effect with fiducials {fiducials}",
                 expected=expected,
                 action=f"Omit {option}.",
             )

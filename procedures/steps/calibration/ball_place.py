@@ -30,6 +30,7 @@ from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text import format_count
 from ronna_hw.vectors import JointVector
 
 R = TypeVar("R", bound=StepResult)
@@ -75,7 +76,7 @@ def run(context: StepContext) -> Outcome[BallPlace]:
     points = context.result(GlobalLocalization).points_mm
     isolated_balls = find_isolated(points)
     if not isolated_balls:
-        raise NO_BALL("the tracker sees no isolated ball", got=f"{len(points)} stray spheres")
+        raise NO_BALL("the tracker sees no isolated ball", got=format_count(len(points), "stray sphere"))
     head_mm = context.workcell.master.tool_pose().translation_mm
     chosen = min(isolated_balls, key=lambda number: float(np.linalg.norm(points[number] - head_mm)))
     place = BallPlace.among(points, chosen)

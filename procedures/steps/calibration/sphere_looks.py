@@ -191,7 +191,7 @@ def _select_places(
     """Return the isolated spheres within reach, the nearest to the head first. Raises CAL-009."""
     isolated_spheres = ball_place.find_isolated(points_mm)
     if not isolated_spheres:
-        raise NO_BALL("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
+        raise NO_BALL("the tracker sees no isolated sphere", got=format_count(len(points_mm), "stray sphere"))
     head_mm = workcell.master.tool_pose().translation_mm
     near = sorted(isolated_spheres, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
     places = [ball_place.BallPlace.among(points_mm, number) for number in near]

@@ -32,7 +32,7 @@ from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import StrayAverage, average_strays
 from ronna_hw.frames import Transform
-from ronna_hw.text import format_against_limit
+from ronna_hw.text import format_against_limit, format_count
 from ronna_hw.vectors import JointVector, vector3
 
 MOST_READINGS = 3  # of a second each, until one in which nobody has pushed the tracker
@@ -97,11 +97,11 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
             joints_rad=joints,
             tracker_from_patient=None if patient is None else FramedPose.of(patient),
         ),
-        summary=(f"{len(groups)} stray spheres" if groups else "the clamp without spheres")
-        + f" in {len(frames)} frames"
+        summary=(format_count(len(groups), "stray sphere") if groups else "the clamp without spheres")
+        + f" in {format_count(len(frames), 'frame')}"
         + (f", largest spread {spread_mm:.2f} mm" if groups else "")
         + (f", {'relative to' if groups else 'by'} {name}" if patient is not None else "")
-        + (f", {lost} readings lost on the line" if lost else ""),
+        + (f", {format_count(lost, 'reading')} lost on the line" if lost else ""),
     )
 
 

@@ -73,9 +73,8 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     head = localization.head_in(volume)
     pictures = _keep_cuts(context, volume, plan, head)
     _confirm_patient(context, check, head, pictures)
-    count = len(plan.trajectories)
-    markers = f"{spheres} spheres implanted" if spheres else "no markers"
-    summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {markers}"
+    markers = f"{format_count(spheres, 'sphere')} implanted" if spheres else "no markers"
+    summary = f"{format_count(len(plan.trajectories), 'trajectory', 'trajectories')}, {markers}"
     context.note_inputs(context.clinical.plan)
     context.setting.memory.drop(Volume)  # the largest input is not needed after this
     return Outcome(

@@ -133,8 +133,11 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     )
 
 
-def tell_learned(learned: LearnedArm | None, target: str) -> str:
-    """Return the correction that a learned arm is given for a target, in words; empty without one."""
+def tell_learned(learned: LearnedArm | None, target: str, showing: str = "") -> str:
+    """Return the correction that a learned arm is given for a target, in words; empty without one.
+
+    `showing` says which looks count, where that is not all of them.
+    """
     if learned is None:
         return ""
     sent_mm, most_mm = math.hypot(*learned.corrections_mm[target]), learned.correction_limits_mm[target]
@@ -144,8 +147,8 @@ def tell_learned(learned: LearnedArm | None, target: str) -> str:
         else f": {learned.share:.0%} of their stated size, at most {LARGEST_SHARE:.0%}"
     )
     return (
-        f"by {format_count(learned.looks, 'look')} the arm's errors are estimated as well{size}; for them it "
-        f"is sent {sent_mm:.2f} mm beside the target's place, at most {most_mm:.2f} mm"
+        f"by {format_count(learned.looks, 'look')}{showing} the arm's errors are estimated as well{size}; for "
+        f"them it is sent {sent_mm:.2f} mm beside the target's place, at most {most_mm:.2f} mm"
     )
 
 

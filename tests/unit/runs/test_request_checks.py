@@ -205,6 +205,11 @@ def test_no_run_is_accepted_in_a_theatre_that_tells_the_truth(tmp_path: Path) ->
             FiducialKind.MIXED,
             "--matcher thesis has no effect",
         ),
+        (
+            CaseProcedure(methods=CaseMethods(enhance_contrast=True)),
+            FiducialKind.SURFACE,
+            "--enhance-contrast has no effect",
+        ),
     ],
 )
 def test_options_that_mean_nothing_with_a_scan_of_the_skin_are_refused(

@@ -335,6 +335,7 @@ def _accept(
                 trajectory=predictions[0].target,
             )
         )
+    showing = f" with {'lines or spheres' if found.spheres else 'lines'}"
     for predicted in predictions:
         if predicted.target in left_out:
             continue
@@ -354,7 +355,7 @@ def _accept(
                     for one in found.spheres
                 )
                 + f"\nnot included: {predicted.excluded}"
-                + f"\n{tell_learned(learned, predicted.target)}",
+                + f"\n{tell_learned(learned, predicted.target, showing)}",
                 trajectory=predicted.target,
                 evidence=(error_budget.budget_table(predicted), *_tabulate_changed(found)),
                 predicted=against,

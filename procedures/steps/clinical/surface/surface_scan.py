@@ -44,6 +44,7 @@ from procedures.strategies.skin_looks import SKIN
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import Centring
 from ronna_hw.arrays import Array
+from ronna_hw.text import format_count
 
 LINE_AREA_PX = (832, 1088)  # all rows, along the line; skin up to 19 mm nearer or farther than expected
 OF_LINES = (
@@ -131,9 +132,13 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
             kept_looks=len(kept),
             progress=state,
         ),
-        summary=f"{len(lines)} lines, {len(points_mm)} points, "
+        summary=f"{format_count(len(lines), 'line')}, {format_count(len(points_mm), 'point')}, "
         f"{tell_coverage(covered, context.result(SurfaceStart).placed_by)}"
-        + (f"; {len(dark)} looks show no line" if dark else ""),
+        + (
+            f"; {format_count(len(dark), 'look')} {'shows' if len(dark) == 1 else 'show'} no line"
+            if dark
+            else ""
+        ),
     )
 
 
