@@ -146,9 +146,10 @@ def tell_learned(learned: LearnedArm | None, target: str, showing: str = "") -> 
         if learned.share is None
         else f": {learned.share:.0%} of their stated size, at most {LARGEST_SHARE:.0%}"
     )
+    looks = format_count(learned.looks, "look")
     return (
-        f"by {format_count(learned.looks, 'look')}{showing} the arm's errors are estimated as well{size}; for "
-        f"them it is sent {sent_mm:.2f} mm beside the target's place, at most {most_mm:.2f} mm"
+        f"by {looks}{showing} the arm's errors are estimated as well{size}; for them it is sent "
+        f"{sent_mm:.2f} mm beside the target's place, at most {most_mm:.2f} mm"
     )
 
 

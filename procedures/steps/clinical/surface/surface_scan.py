@@ -134,11 +134,7 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
         ),
         summary=f"{format_count(len(lines), 'line')}, {format_count(len(points_mm), 'point')}, "
         f"{tell_coverage(covered, context.result(SurfaceStart).placed_by)}"
-        + (
-            f"; {format_count(len(dark), 'look')} {'shows' if len(dark) == 1 else 'show'} no line"
-            if dark
-            else ""
-        ),
+        + (f"; {format_count(len(dark), 'look shows', 'looks show')} no line" if dark else ""),
     )
 
 
