@@ -79,6 +79,17 @@ def fit_head(volume: Volume) -> HeadEllipsoid:
 
     A head cut off by the CT is used as far as the CT shows it.
     """
+    points, grid_mm = sample_head(volume)
+    centre, semi = least_ellipsoid(points)
+    # plus the grid step, and what opening rounds off
+    return HeadEllipsoid(centre_mm=vector3(centre), semi_axes_mm=vector3(semi + grid_mm))
+
+
+def sample_head(volume: Volume) -> tuple[Array, float]:
+    """Return points (n, 3), LPS mm, that fill the head without its thin parts, and their spacing.
+
+    Raises PLAN-014.
+    """
     from scipy import ndimage
 
     strides = np.maximum(1, np.rint(GRID_MM / volume.geometry.spacing_mm)).astype(int)
@@ -97,9 +108,7 @@ def fit_head(volume: Volume) -> HeadEllipsoid:
     largest = labels == 1 + int(sizes.argmax())
     largest = ndimage.binary_dilation(largest, iterations=rounds)
     points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)
-    centre, semi = least_ellipsoid(points)
-    # plus the grid step, and what opening rounds off
-    return HeadEllipsoid(centre_mm=vector3(centre), semi_axes_mm=vector3(semi + float(spacing_mm.max())))
+    return np.asarray(points), float(spacing_mm.max())
 
 
 def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:

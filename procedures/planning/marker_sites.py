@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.planning.errors import NO_MARKER_SITES, NO_TEMPLATE
-from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, ring_around, sample_hu
+from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, ring_around, sample_head, sample_hu
 from procedures.registration.error_theory import tre_principal_axes_mm
+from procedures.registration.surface.regions import HeadAxes
 from procedures.strategies.trajectory import Trajectory, split_along
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibration import Numbers3, Strict
@@ -30,7 +31,6 @@ from ronna_hw.vectors import vector3
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
-    from procedures.registration.surface.regions import HeadAxes
 
 CAP_AXIS = (0.0, -1.0, 1.0)  # LPS, from forehead to vertex: excludes pillow and face
 CAP_HALF_ANGLE_RAD = np.radians(50.0)
@@ -100,7 +100,7 @@ def propose_markers(
     """Propose positions for `count` spheres that minimize the mean square error over the targets.
 
     On the skin shown by the CT, or on the ellipsoid without one; clear of the trajectories and of one
-    another; with `axes` on the cranium alone. The best of many random sets, improved by exchanging one marker
+    another; on the cranium alone. The best of many random sets, improved by exchanging one marker
     at a time. Raises PLAN-021.
     """
     random = np.random.default_rng(seed)
@@ -206,10 +206,13 @@ def list_free_sites(
 ) -> tuple[Array, Array]:
     """Find skin positions clear of the trajectories, and the directions of their posts.
 
-    With `axes`, sphere and screw are on the cranium: not on eyes, nose, ears, cheeks or jaw.
+    Sphere and screw are on the cranium, and not on eyes, nose, ears, cheeks or jaw: by the `axes` of the
+    head, or by those that the CT shows.
     """
     centres, posts = list_sites(head, volume, random)
     free = np.array([is_clear_of(trajectories, one) for one in centres], dtype=bool)
+    if axes is None and volume is not None:
+        axes = HeadAxes.of_points(sample_head(volume)[0])
     if axes is not None:
         for points_mm in (centres, centres - STANDOFF_MM * posts):
             free &= np.isin(axes.name_parts(points_mm), CRANIUM)

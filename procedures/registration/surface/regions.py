@@ -31,8 +31,12 @@ class HeadAxes:
 
     @classmethod
     def of(cls, surface: Surface) -> Self:
-        """Measure the cranium, the part below the vertex that every CT for surgery shows."""
-        points = surface.points_mm
+        """Measure the cranium by the surface, as `of_points`."""
+        return cls.of_points(surface.points_mm)
+
+    @classmethod
+    def of_points(cls, points: Array) -> Self:
+        """Measure the cranium by points (n, 3), the part below the vertex that every CT for surgery shows."""
         vertex = float(points[:, 2].max())
         cranium = points[points[:, 2] > vertex - CRANIUM_MM, :2]
         low, high = cranium.min(axis=0), cranium.max(axis=0)

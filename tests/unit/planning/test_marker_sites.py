@@ -14,11 +14,13 @@ from prepared_results import checked_plan
 from procedures.cli.planning_inputs import read_assumed_pose
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import HEAD_UNREADABLE, NO_MARKER_SITES, NO_TEMPLATE, WRONG_SERIES
-from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
+from procedures.planning.head_in_ct import HeadEllipsoid, fit_head, sample_head
 from procedures.planning.marker_sites import (
     APART_MM,
     CLEAR_OF_PATH_MM,
+    CRANIUM,
     STANDOFF_MM,
+    list_sites,
     propose_further,
     propose_markers,
     propose_template,
@@ -27,6 +29,7 @@ from procedures.planning.marker_sites import (
 from procedures.planning.scene_head import read_scene_head
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.registration.rigid_fit import fit_rigid
+from procedures.registration.surface.regions import HeadAxes
 from procedures.reporting.pictures import marker_picture
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import Pose
@@ -134,6 +137,24 @@ def test_the_skin_is_taken_from_the_ct_and_not_from_the_ellipsoid() -> None:
     for foot in feet:
         assert min(abs(np.linalg.norm(foot) - radius_mm), abs(foot[0] - flat_at_mm)) < voxel_mm
     assert max(foot[0] for foot in feet) < flat_at_mm + voxel_mm
+
+
+def test_markers_are_on_the_cranium_that_the_ct_shows() -> None:
+    """A head so high that the sites between forehead and vertex reach down to its eyes."""
+    axes_mm, voxel_mm = np.array([75.0, 95.0, 144.0]), 4.0
+    axis = np.arange(-178.0, 179.0, voxel_mm)
+    z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
+    inside = ((np.stack([x, y, z], axis=-1) / axes_mm) ** 2).sum(axis=-1) < 1.0
+    geometry = VoxelGeometry(x.shape, np.full(3, axis[0]), np.eye(3)[:, ::-1].copy(), np.full(3, voxel_mm))
+    volume = Volume(np.where(inside, 40, -1000).astype(np.int16), geometry, "1.2.3", "1.2.4")
+    head, by_volume = fit_head(volume), HeadAxes.of_points(sample_head(volume)[0])
+    random = np.random.default_rng(0)
+    assert {"eyes", "nose"} <= set(by_volume.name_parts(list_sites(head, volume, random)[0]))
+    found = propose_markers(head, TRAJECTORIES, 5, ERROR_MM, volume=volume)
+    assert set(by_volume.name_parts(np.array(found.centres_mm))) <= set(CRANIUM)
+    present = np.array(found.centres_mm[:4])
+    further = propose_further(head, TRAJECTORIES, present, ERROR_MM, volume=volume)
+    assert set(by_volume.name_parts(np.array([further.centre_mm]))) <= set(CRANIUM)
 
 
 def test_objects_on_the_skin_are_not_taken_for_skin() -> None:
