@@ -8,7 +8,12 @@ from typing import Self
 from procedures.calibration.errors import PlatformMoved
 from ronna_hw.errors import ErrorCode, RefusedError
 from ronna_hw.frames import Transform
-from ronna_hw.text import format_against_limit
+from ronna_hw.text import format_distinct
+
+OF_POINTS = " rms of its points"  # kind of a displacement
+LOCALIZED_AGAIN = (
+    "resume the run, or go on with the next step. With the guide mounted, send the arm home first."
+)
 
 
 class BaseShifted(RefusedError):
@@ -40,10 +45,7 @@ class FrameSlipped(RefusedError):
     """The patient's frame has moved on the head clamp: the spheres have not moved with it."""
 
     code = "PRO-051"
-    action = (
-        "Fasten it to the clamp, then register again: run global_localization. With the guide mounted, send "
-        "the arm home first."
-    )
+    action = f"Fasten it to the clamp, then register again: {LOCALIZED_AGAIN}"
 
 
 class PatientUnseen(RefusedError):
@@ -87,24 +89,31 @@ class RoomUndecided(RefusedError):
 
 
 class PatientMoved(RefusedError):
-    """The head has moved since it was localized. `moved_mm` is the rms displacement of what shows it."""
+    """The head has moved since it was localized. `moved_mm` is the rms displacement of what shows it.
+
+    Where that shows less than the way of the head in its clamp, or of a target, it is this way.
+    """
 
     code = "PRO-020"
     action = (
-        "Check the clamp, its frame and the spheres, then localize again: run global_localization. With the "
-        "guide mounted, send the arm home first. After a small move, the registration step then asks whether "
-        "a registration by spheres should follow it; one on the skin is confirmed by a few looks."
+        f"Check the clamp, its frame and the spheres, then localize again: {LOCALIZED_AGAIN} After a small "
+        "move, the registration step then asks whether a registration by spheres should follow it; one on "
+        "the skin is confirmed by a few looks."
+    )
+    without_spheres = (
+        f"Check the clamp and its frame, then localize again: {LOCALIZED_AGAIN} After a small move, a few "
+        "looks confirm a registration on the skin that was accepted before."
     )
     moved_mm: float = math.inf
 
     @classmethod
-    def from_shift(cls, what: str, moved_mm: float, limit_mm: float) -> Self:
-        """Build the error for a displacement."""
-        moved = cls(
-            what,
-            limit=f"{limit_mm:g} mm",
-            got=f"{format_against_limit(moved_mm, limit_mm, 2)} mm rms of its points",
-        )
+    def from_shift(
+        cls, what: str, moved_mm: float, limit_mm: float, kind: str = OF_POINTS, *, on_skin: bool = False
+    ) -> Self:
+        """Build the error for a displacement of a kind; `on_skin`: of a head without spheres."""
+        got, limit = format_distinct(moved_mm, limit_mm, 2)
+        action = cls.without_spheres if on_skin else None
+        moved = cls(what, limit=f"{limit} mm", got=f"{got} mm{kind}", action=action)
         moved.moved_mm = moved_mm
         return moved
 

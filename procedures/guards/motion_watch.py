@@ -152,4 +152,5 @@ class MotionWatch:
             )
             shifted.frame_off_mm = seen.base_mm
             return shifted
-        return errors.PatientMoved.from_shift(f"{MOVED} during {what}", seen.moved_mm, PATIENT_LIMIT_MM)
+        what, on_skin = f"{MOVED} during {what}", not len(room.spheres_mm)
+        return errors.PatientMoved.from_shift(what, seen.moved_mm, PATIENT_LIMIT_MM, on_skin=on_skin)

@@ -23,7 +23,7 @@ from procedures.room.sighting import Sighting, Tracked
 from procedures.workcell.tracker_move import STILL
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import format_against_limit, format_count
+from ronna_hw.text import format_count, format_distinct
 
 # Safety against a cart that was rolled (U).
 GROSS_LIMIT_MM = 10.0  # of the frame on the arm: no hand on guide or arm moves it so far
@@ -99,7 +99,7 @@ def name_motion(
     motion: RoomMotion, expected: Expected, reading: RoomReading, *, approached: bool = False
 ) -> errors.RoomMoved | errors.RoomUndecided | errors.InsertionDisturbed:
     """Return the error for a motion that a reading shows; `approached`: with the guide at the head."""
-    limit, got = f"{motion.limit_mm:.2f} mm", format_against_limit(motion.moved_mm, motion.limit_mm, 2)
+    got, limit = (f"{one} mm" for one in format_distinct(motion.moved_mm, motion.limit_mm, 2))
     way = describe_way(motion.way_mm)
     where = "" if motion.at is None else f", at {motion.at}"
     match motion.moved:
@@ -108,7 +108,7 @@ def name_motion(
                 f"the tracker sees the assistant beside its axis, by {way}, with the instrument in the "
                 "guide: a cart was displaced, or a frame",
                 limit=limit,
-                got=f"{got} mm",
+                got=got,
                 action=errors.InsertionDisturbed.by_hand,
             )
         case Moved.ASSISTANT:
@@ -116,7 +116,7 @@ def name_motion(
                 "the tracker sees the frame on the assistant elsewhere than its joints have it, by "
                 f"{way}{where}: its cart was moved, or the frame",
                 limit=limit,
-                got=f"{got} mm",
+                got=got,
             )
             x, y, z = motion.way_mm.tolist()
             moved.way_mm = (x, y, z)
@@ -129,23 +129,23 @@ def name_motion(
                 f"the frame on the arm is not where the arm has it, by {way}{where}: the guide is pushed or "
                 f"held{several} {'were' if motion.moved is Moved.SEVERAL else 'was'} moved",
                 limit=limit,
-                got=f"{got} mm",
+                got=got,
                 action=HELD,
             )
         case Moved.BASE | Moved.TRACKER | Moved.SEVERAL:
-            return _base_shifted(motion, expected, reading, f"{way}{where}", limit, f"{got} mm")
+            return _base_shifted(motion, expected, reading, f"{way}{where}", limit, got)
         case Moved.CLAMP_FRAME:
             return errors.FrameSlipped(
                 "the patient's frame has moved on the head clamp since the localization, against the spheres",
                 limit=limit,
-                got=f"{got} mm",
+                got=got,
             )
         case Moved.HEAD_OR_TRACKER if expected.clamp_mm is not None and not _is_home(reading):
             return errors.RoomUndecided(
                 "the tracker, or the head with its clamp, was moved: the frame on the arm tells which of "
                 "them only in a pose in which it was seen before, such as home",
                 limit=limit,
-                got=f"{got} mm",
+                got=got,
             )
         case _:
             return _patient_moved(motion, expected, reading, f"{way}{where}")
@@ -193,7 +193,6 @@ def _patient_moved(
 ) -> errors.PatientMoved:
     head = HeadSeen.of(expected)
     tracker = motion.moved is Moved.HEAD_OR_TRACKER
-    moved_mm = motion.moved_mm if head is None else max(head.shift.rms_mm, motion.limit_mm)
     alone_mm = lone_displacement_mm(
         expected.spheres_mm, reading.spheres_mm, max(motion.limit_mm, PATIENT_LIMIT_MM)
     )
@@ -217,9 +216,15 @@ def _patient_moved(
         seen = f", the mean of {format_count(head.shift.points, 'sphere')}" if head and not motion.at else ""
         what = f"the head{', or the tracker,' if tracker else ''} has moved since it was localized"
         what += f", by {way}{seen}"
+    on_skin = not len(expected.spheres_mm)
+    # The points of the frame on the clamp say nothing of a head that has moved in it, and little of a turn.
+    by_points = head is not None and not (head.by_frame and motion.moved is Moved.HEAD_IN_CLAMP)
+    if head is None or not by_points or head.shift.rms_mm <= motion.limit_mm:
+        return errors.PatientMoved.from_shift(what, motion.moved_mm, motion.limit_mm, "", on_skin=on_skin)
+    moved_mm = head.shift.rms_mm
     # The limit on the mean way, as one on the rms of the points.
     limit_mm = motion.noticed_share * max(moved_mm, motion.moved_mm)
-    return errors.PatientMoved.from_shift(what, moved_mm, round(limit_mm, 2))
+    return errors.PatientMoved.from_shift(what, moved_mm, limit_mm, on_skin=on_skin)
 
 
 def find_unseen(expected: Expected, reading: RoomReading) -> errors.PatientUnseen | None:

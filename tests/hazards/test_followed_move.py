@@ -104,7 +104,7 @@ def test_the_named_command_localizes_again_whether_or_not_the_localization_still
     localization = engine.order.find("global_localization")
     before = engine.case.record_of(localization)
     assert (before is None) is (way_mm[0] > 5.0)
-    assert "localize again: run global_localization." in PatientMoved.action
+    assert "localize again: resume the run, or go on with the next step." in PatientMoved.action
     carry_out(engine, Run(step="global_localization"), lambda _line: None)
     assert engine.case.record_of(localization) not in (None, before)
 

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomUndecided
 from procedures.guards.head_frames import AVERAGED, PATIENT_LIMIT_MM, HeadFrames, PatientFrames
+from procedures.guards.room_motion import name_motion
 from procedures.guards.room_reading import CAREFUL_FRAMES, FRAMES
+from procedures.room.motion import Moved, RoomMotion
 from procedures.room.sighting import Tracked
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
@@ -77,6 +79,13 @@ def test_a_head_that_moves_with_its_clamp_is_never_taken_for_a_pushed_tracker(
         moved = (0.5 + 0.2 * seed) * direction(generator)
         look = case.watch.compare(case.read(frames, hidden=hidden, head_mm=moved, clamp_mm=moved))
         assert isinstance(look.moved, PatientMoved)
+        assert_beyond_limit(look.moved)
+
+
+def assert_beyond_limit(moved: PatientMoved) -> None:
+    """Assert that the figures of a message do not look like a false alarm."""
+    got, limit = ((words or "").partition(" mm")[0] for words in (moved.got, moved.limit))
+    assert float(got) > float(limit) > 0.0
 
 
 @pytest.mark.hazard(12)
@@ -102,6 +111,31 @@ def test_a_head_that_slips_in_its_clamp_is_told_from_a_slipped_frame(case: Clamp
     look = case.watch.compare(case.read(FRAMES, head_mm=(0.0, 0.0, 1.0)))
     with pytest.raises(PatientMoved, match="the head has moved in its clamp"):
         look.require()
+    assert isinstance(look.moved, PatientMoved)
+    assert_beyond_limit(look.moved)
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.parametrize("rms_mm", [0.02, 0.095, 5.0])
+def test_a_head_that_slips_in_its_clamp_is_shown_by_its_way_and_not_by_the_frame(rms_mm: float) -> None:
+    """With few spheres the points of the frame are all that the head is seen by, and they have not moved."""
+    motion = RoomMotion(Moved.HEAD_IN_CLAMP, 0, 100.0, 1.0, np.array([0.0, 0.0, 0.99]))
+    case = clamped_case(0)
+    expected = case.watch.expected(case.watch.judge(case.read(FRAMES, hidden=True)))
+    reading = case.read(FRAMES, hidden=True)
+    assert expected.clamp_mm is not None
+    off_mm = expected.clamp_mm + np.array([rms_mm, 0.0, 0.0])
+    expected = replace(expected, clamp_mm=off_mm, spheres_mm=np.empty((0, 3)))
+    moved = name_motion(motion, expected, reading)
+    assert isinstance(moved, PatientMoved)
+    assert (moved.got, moved.limit) == ("0.99 mm", "0.10 mm")
+    assert "spheres" not in moved.advice
+    assert "run global_localization" not in moved.advice
+
+
+@pytest.mark.parametrize(("moved_mm", "limit_mm"), [(0.0785, 0.0775), (0.301, 0.3), (0.0951, 0.0949)])
+def test_a_displacement_just_beyond_its_limit_is_shown_beyond_it(moved_mm: float, limit_mm: float) -> None:
+    assert_beyond_limit(PatientMoved.from_shift("the head has moved", moved_mm, limit_mm))
 
 
 @pytest.mark.hazard(13)
