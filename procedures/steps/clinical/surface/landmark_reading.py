@@ -6,7 +6,7 @@ them on the patient and the computer in the CT, without a mark on either.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -39,6 +39,11 @@ UNITS = {1: "cm", 3: "m"}  # by the power of ten that they are larger than mm
 # Safety against a mistyped reading, and against another patient. Source: 7.8 mm rms of three landmarks that
 # err as above (U); in a trial, true readings had 1.4 to 2.1 mm, and a wrong sign at the nose 9.2 mm.
 READ_AGAIN_SHARE = 0.01
+
+OTHER_PATIENT = (
+    "Otherwise this may be another patient than in the CT, or another CT than the patient's: compare the "
+    "names of both."
+)
 
 
 @dataclass(frozen=True)
@@ -132,7 +137,7 @@ def require_fit(
             f"the {TOUCHED[int(off_mm.argmax())]} fits worst{cause}",
             limit=f"{limit_mm:.1f} mm rms",
             got=f"{format_against_limit(_rms(off_mm), limit_mm, 1)} mm; from their fit: {places}",
-            action=reading.again,
+            action=reading.again if cause else f"{reading.again} {OTHER_PATIENT}",
         )
     if objection := _object_to(pose, prior):
         cause = _guess_cause(in_ct_mm, read_mm, prior, reading)
@@ -160,14 +165,27 @@ def _object_to(pose: Transform, prior: RoomPrior) -> str:
 
 def _guess_cause(in_ct_mm: Array, read_mm: Array, prior: RoomPrior, reading: LandmarkReading) -> str:
     """Name the slip that would explain the readings, if one does: a unit, or the order that fits best."""
-    if unit := _guess_unit(in_ct_mm, read_mm):
-        return unit
+    return _guess_unit(in_ct_mm, read_mm) or guess_order(in_ct_mm, read_mm, prior, reading)
+
+
+def guess_order(
+    in_ct_mm: Array,
+    read_mm: Array,
+    prior: RoomPrior,
+    reading: LandmarkReading,
+    explains: Callable[[Transform], bool] = lambda _pose: True,
+) -> str:
+    """Name the landmarks that were exchanged, if that fits, and its pose robot <- CT `explains` the rest."""
     found: list[tuple[float, Sequence[int]]] = []
     for order in permutations(range(len(TOUCHED))):
         sorted_mm = read_mm[list(order)]
         pose = Start.from_landmarks(in_ct_mm, sorted_mm, reading.deviation_mm).robot_from_ct
         rms_mm = _rms(_off_mm(in_ct_mm, sorted_mm, pose))
-        if rms_mm <= most_apart_mm(0, reading.deviation_mm) and not _object_to(pose, prior):
+        if (
+            rms_mm <= most_apart_mm(0, reading.deviation_mm)
+            and not _object_to(pose, prior)
+            and explains(pose)
+        ):
             found.append((rms_mm, order))
     return _tell_order(min(found)[1]) if found else ""
 

@@ -6,7 +6,9 @@ could not tell that by their distances.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -27,6 +29,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.surface.carried_head import find_carried, start_carried, tell_whole_scan
 from procedures.steps.clinical.surface.landmark_reading import (
     BY_POINTER,
+    guess_order,
     list_landmarks,
     place_head,
     prior_with_clamp,
@@ -47,6 +50,8 @@ LEAST_ASIDE_MM = 15.0
 # Safety against a mistyped reading, and another patient. Source: an entry is chosen anew near its mark (U).
 READ_MM = 40.0
 
+TOUCH_AGAIN = "Repeat the step and touch nose and ears again, left and right as the patient has them."
+
 
 def run(context: StepContext) -> Outcome[SurfaceStart]:
     """Have the landmarks touched, and fit the head to them, unless its clamp carries a former registration.
@@ -66,7 +71,8 @@ def run(context: StepContext) -> Outcome[SurfaceStart]:
     pose = start.robot_from_ct
     if paired.pairs:
         off_mm = require_fit(in_ct_mm, touched_mm, pose, prior, BY_POINTER, len(paired.pairs))
-    site = touch_site(context, plan, pose, HeadAxes.of(skin_of(context)))
+    guess = partial(guess_order, in_ct_mm, touched_mm, prior, BY_POINTER)
+    site = touch_site(context, plan, pose, HeadAxes.of(skin_of(context)), guess)
     return Outcome(
         SurfaceStart(
             status=MatchStatus.UNIQUE,
@@ -98,9 +104,15 @@ def tell_site(site: TouchedPoint | None) -> str:
 
 
 def touch_site(
-    context: StepContext, plan: CheckedPlan, robot_from_ct: Transform, axes: HeadAxes
+    context: StepContext,
+    plan: CheckedPlan,
+    robot_from_ct: Transform,
+    axes: HeadAxes,
+    guess_order: Callable[[Callable[[Transform], bool]], str] = lambda _explains: "",
 ) -> TouchedPoint | None:
     """Have the mark of the entry furthest aside touched. Raises SRF-006 if it is on the other side.
+
+    `guess_order` names landmarks that were exchanged, if that explains the mark.
 
     Returns None if every entry is near the middle, where a mark does not tell left from right.
     """
@@ -115,15 +127,21 @@ def touch_site(
     away_mm, away_mirrored_mm = (
         float(np.linalg.norm(touched_mm - robot_from_ct.apply(one))) for one in (entry_mm, mirrored_mm)
     )
+    exchanged = ""
+    if away_mm > min(READ_MM, away_mirrored_mm):
+        exchanged = guess_order(
+            lambda pose: float(np.linalg.norm(touched_mm - pose.apply(entry_mm))) <= READ_MM
+        )
     if away_mirrored_mm < away_mm:
         raise MIRRORED_HEAD(
-            f"the mark of {aside.id} is on the other side of the patient than its entry in the CT",
+            f"the mark of {aside.id} is on the other side of the patient than its entry in the CT{exchanged}",
             expected=f"within {READ_MM:g} mm of the entry",
             got=f"{away_mm:.0f} mm from the entry, {away_mirrored_mm:.0f} mm from its mirror image",
+            action=f"{TOUCH_AGAIN} {MIRRORED_HEAD.action}" if exchanged else None,
         )
     if away_mm > READ_MM:
         raise GateFailed(
-            f"the mark of {aside.id} is not near its entry in the CT",
+            f"the mark of {aside.id} is not near its entry in the CT{exchanged}",
             limit=f"{READ_MM:g} mm",
             got=f"{format_against_limit(away_mm, READ_MM, 0)} mm",
             action=READ_AGAIN,

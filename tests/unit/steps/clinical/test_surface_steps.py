@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -39,6 +40,7 @@ from procedures.registration.surface.errors import (
     SPHERE_MOVED,
     TWO_POSES,
 )
+from procedures.registration.surface.starts import Start
 from procedures.registration.surface.surface import Surface
 from procedures.relocalization.errors import NoLine, PairNotUsable, Saturated
 from procedures.relocalization.laser_line import LineImage
@@ -56,9 +58,14 @@ from procedures.steps.clinical.results import (
     ScannedLook,
     ScannedSurface,
 )
-from procedures.steps.clinical.surface import skin_in_ct, surface_paths
+from procedures.steps.clinical.surface import skin_in_ct, surface_paths, surface_start
 from procedures.steps.clinical.surface.head_measurement import BY_TAPE
-from procedures.steps.clinical.surface.landmark_reading import BY_POINTER, LandmarkReading, place_head
+from procedures.steps.clinical.surface.landmark_reading import (
+    BY_POINTER,
+    LandmarkReading,
+    guess_order,
+    place_head,
+)
 from procedures.steps.clinical.surface.look_scanner import LookScanner, require_lines
 from procedures.steps.clinical.surface.repeated_work import repeat_if_refused
 from procedures.steps.clinical.surface.surface_registration import repeats
@@ -70,6 +77,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.roles import TWO_ARMS
+from ronna_hw.vectors import Vector3
 
 
 class Head:
@@ -404,6 +412,36 @@ def test_a_mistyped_landmark_is_refused_with_the_slip_that_explains_it(
 ) -> None:
     with pytest.raises(RonnaError, match=f"{code}: .*{said}.*touch the point and read it again"):
         place(touched_mm)
+
+
+def test_landmarks_that_fit_in_no_order_may_be_those_of_another_patient() -> None:
+    with pytest.raises(RonnaError, match=r"PRO-007.*another patient than in the CT, or another CT"):
+        place(TOUCHED_MM + NOSE_BESIDE_MM)
+    with pytest.raises(RonnaError) as exchanged:
+        place(TOUCHED_MM[[1, 0, 2]])
+    assert "another patient" not in exchanged.value.advice
+
+
+@pytest.mark.parametrize("entry_mm", [(40.0, -60.0, 70.0), (-40.0, -60.0, 5.0)])
+def test_ears_that_were_exchanged_are_named_where_only_the_mark_of_an_entry_tells(
+    entry_mm: Vector3, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mark_mm = Start.from_landmarks(IN_CT_MM, TOUCHED_MM, 4.0).robot_from_ct.apply(entry_mm)
+    monkeypatch.setattr(surface_start, "touch_head", lambda *_arguments, **_words: mark_mm)
+    planned = SimpleNamespace(id="T1", entry_mm=entry_mm)
+    plan = cast(Any, SimpleNamespace(plan=SimpleNamespace(trajectories=(planned,))))
+    anything = cast(
+        Any, SimpleNamespace(check_position=lambda *_: "", sight=SimpleNamespace(centre_mm=np.zeros(3)))
+    )
+    axes = cast(Any, SimpleNamespace(middle_mm=np.zeros(3)))
+    for order, said in (([0, 2, 1], "the ears may have been exchanged"), ([0, 1, 2], "")):
+        read_mm = TOUCHED_MM[order]
+        guess = partial(guess_order, IN_CT_MM, read_mm, anything, BY_POINTER)
+        pose = Start.from_landmarks(IN_CT_MM, read_mm, 4.0).robot_from_ct
+        with (
+            nullcontext() if not said else pytest.raises(RonnaError, match=f"SRF-006.*{said}.*touch nose and")
+        ):
+            surface_start.touch_site(cast(Any, None), plan, pose, axes, guess)
 
 
 @pytest.mark.parametrize(
