@@ -37,19 +37,20 @@ class FoundArm:
         count, errors = len(mixture.weights), along_mm.shape[1]
         sizes, known = np.empty((count, errors)), np.empty((count, errors, errors))
         gains = np.empty((count, errors, len(along_mm)))
-        for number in np.unique(mixture.misfit):
-            one, rows = adjustment.hypotheses[number], np.flatnonzero(mixture.misfit == number)
+        for number in np.unique(mixture.hypothesis):
+            one, chosen = adjustment.hypotheses[number], np.flatnonzero(mixture.hypothesis == number)
+            rows = one.rows
             half = solve_triangular(
                 one.factor, np.column_stack([residuals_mm, along_mm]), lower=True, check_finite=False
             )
-            left = half - one.pose @ (one.by_pose @ half)  # what no movement explains
-            for row in rows:
-                skin = one.skin[:, mixture.region[row]]
-                by_skin = half.T @ skin / one.spread[mixture.region[row]] ** 0.5
+            left = half - rows.pose @ (rows.by_pose @ half)  # what no movement explains
+            for row in chosen:
+                skin = rows.skin[:, mixture.region[row]]
+                by_skin = half.T @ skin / rows.spread[mixture.region[row]] ** 0.5
                 product = half.T @ left - np.outer(by_skin, by_skin)
                 sizes[row] = -product[1:, 0]  # a tool that is off by this records the opposite
                 known[row] = product[1:, 1:]
-                beside = np.outer(by_skin[1:], skin) / one.spread[mixture.region[row]] ** 0.5
+                beside = np.outer(by_skin[1:], skin) / rows.spread[mixture.region[row]] ** 0.5
                 gains[row] = solve_triangular(
                     one.factor, left[:, 1:] - beside.T, lower=True, trans=1, check_finite=False
                 ).T

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
+from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
 from procedures.registration.surface.errors import BAD_SURFACE_INPUT, SPHERE_MOVED
-from procedures.registration.surface.misfit import MisfitModel
+from procedures.registration.surface.misfit import Adjustment, MisfitModel
 from procedures.registration.surface.settling import Pose
 from ronna_hw.arrays import Array
 
@@ -79,22 +79,20 @@ def judge_spheres(
 ) -> tuple[SphereAlone, ...]:
     """Judge each sphere by the adjustment without it, whose rows are the last of all (deletion residuals).
 
-    The hypotheses about the misfit are weighed by everything else too.
+    The hypotheses are weighed by everything else too.
     """
     if not len(spheres.numbers):
         return ()
     last = len(residuals_mm) - AXES * len(spheres.numbers)
     mine = np.eye(len(residuals_mm))[:, last:]
-    both = np.column_stack([jacobian, residuals_mm, mine])
-    pose = jacobian.shape[1]
-    logs, by_sphere = [], []
-    for factor, determinant in zip(model.factors, model.log_determinants, strict=True):
-        product = both.T @ cho_solve(factor, both, check_finite=False)
-        left = product - product[:, :pose] @ np.linalg.solve(product[:pose, :pose], product[:pose])
-        freedom = np.linalg.slogdet(product[:pose, :pose])[1]
-        logs.append(-0.5 * (determinant + left[pose, pose] + freedom))
-        by_sphere.append((left[pose + 1 :, pose + 1 :], left[pose + 1 :, pose]))
-    weight = np.array(logs) + model.log_prior
+    both = np.column_stack([residuals_mm, mine])
+    by_sphere, logs = [], []
+    for one in Adjustment.of(model, jacobian).hypotheses:
+        half = solve_triangular(one.factor, both, lower=True, check_finite=False)
+        left = half.T @ (half - one.rows.pose @ (one.rows.by_pose @ half))  # what no movement explains
+        logs.append(one.log_evidence(half[:, 0])[0])
+        by_sphere.append((left[1:, 1:], left[1:, 0]))
+    weight = np.array(logs)
     return tuple(
         _judge(int(number), np.repeat(spheres.numbers == number, AXES), weight, by_sphere)
         for number in np.unique(spheres.numbers)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from procedures.registration.points import validate_points, validate_targets
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.registration.surface.errors import BAD_SURFACE_INPUT, LITTLE_COVERAGE
-from procedures.registration.surface.misfit import UNMODELLED, Misfit, MisfitModel, Roughness
+from procedures.registration.surface.misfit import BESIDE_SPHERES, UNMODELLED, Misfit, MisfitModel, Roughness
 from procedures.registration.surface.prediction import SurfacePrediction
 from procedures.registration.surface.surface import LEVEL_SD_MM
 from procedures.registration.surface.thinning import thin_points
@@ -155,8 +155,12 @@ class ExpectedPose:
         """Add spheres (..., n, 3), CT mm, measured with this standard deviation per axis, to the skin."""
         slopes = pose_jacobian(spheres_mm, self.centre_mm)
         known = np.einsum("...nij,...nik->...jk", slopes, slopes) / sd_mm**2
-        informed = np.linalg.inv(self.covariances) + known[..., None, :, :]
-        return replace(self, covariances=np.linalg.inv(informed))
+        weights = np.concatenate([chance * self.weights for _, chance in BESIDE_SPHERES])
+        by_skin = np.concatenate(
+            [(excess / UNMODELLED) ** 2 * self.covariances for excess, _ in BESIDE_SPHERES]
+        )
+        informed = np.linalg.inv(by_skin) + known[..., None, :, :]
+        return replace(self, weights=weights, covariances=np.linalg.inv(informed))
 
     def mean_square_mm2(self, targets_mm: Array) -> Array:
         """Return the mean square error over targets (m, 3), (...)."""

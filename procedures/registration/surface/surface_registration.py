@@ -39,9 +39,9 @@ from procedures.registration.surface.checks import (
 from procedures.registration.surface.global_search import find_pose
 from procedures.registration.surface.misfit import (
     LEAST_NOISE_MM,
-    MISFITS,
     UNMODELLED,
     Adjustment,
+    Misfit,
     MisfitModel,
     PoseMixture,
 )
@@ -88,6 +88,7 @@ class SurfaceRegistration:
     side_proven: bool
     centre_ct_mm: Array
     mixture: PoseMixture = field(repr=False)
+    misfits: tuple[Misfit, ...] = field(repr=False)  # of the mixture's hypotheses
     gains: Array = field(repr=False)  # (c, 6, m + 3k) of the points used and of the looks at spheres
     along_mm: Array = field(repr=False)  # (m + 3k, q) their displacements by the shared errors
     sources: tuple[tuple[str, int], ...]  # of these errors by name, and their numbers of columns
@@ -100,13 +101,22 @@ class SurfaceRegistration:
     @property
     def misfit_mm(self) -> float:
         """Standard deviation of the misfit that the scan shows, rms over the hypotheses."""
-        sizes_mm = np.array([one.size_mm for one in MISFITS])
-        return float(np.sqrt(self.mixture.weights @ sizes_mm[self.mixture.misfit] ** 2))
+        sizes_mm = np.array([one.size_mm for one in self.misfits])
+        return float(np.sqrt(self.mixture.weights @ sizes_mm[self.mixture.hypothesis] ** 2))
 
     @property
     def misfit_length_mm(self) -> float:
         """Expected correlation length of the misfit."""
-        return float(self.mixture.weights @ np.array([one.length_mm for one in MISFITS])[self.mixture.misfit])
+        lengths_mm = np.array([one.length_mm for one in self.misfits])
+        return float(self.mixture.weights @ lengths_mm[self.mixture.hypothesis])
+
+    @property
+    def unmodelled(self) -> float:
+        """Standard deviation of the skin's part of the error, relative to that of the hypotheses.
+
+        Beside spheres the hypotheses have it.
+        """
+        return 1.0 if self.spheres else UNMODELLED
 
     @property
     def arm_at_spheres_mm(self) -> Array:
@@ -126,7 +136,7 @@ class SurfaceRegistration:
         known_mm2 = by_spheres @ self.sphere_noise_mm2 @ np.swapaxes(by_spheres, 1, 2)
         if not arm_at_target:
             by_skin = whole - known_mm2 - by_arm @ np.swapaxes(by_arm, 1, 2)
-            return SurfacePrediction(self.mixture.weights, offsets, UNMODELLED**2 * by_skin + known_mm2)
+            return SurfacePrediction(self.mixture.weights, offsets, self.unmodelled**2 * by_skin + known_mm2)
         shared_mm = _shared(at_target)
         crossed = slope @ self.gains @ self.along_mm @ shared_mm.T
         whole = whole + crossed + np.swapaxes(crossed, 1, 2) + shared_mm @ shared_mm.T
@@ -136,7 +146,7 @@ class SurfaceRegistration:
         by_arm = by_arm + shared_mm
         known_mm2 = known_mm2 + by_arm @ np.swapaxes(by_arm, 1, 2)
         beside_mm2 = sum(one.independent_mm2 for one in at_target)
-        covariances = UNMODELLED**2 * (whole - known_mm2) + known_mm2 + beside_mm2
+        covariances = self.unmodelled**2 * (whole - known_mm2) + known_mm2 + beside_mm2
         return SurfacePrediction(self.mixture.weights, offsets, covariances)
 
     def correct(self, arm_at_target: Sources) -> tuple[Array, float]:
@@ -252,6 +262,7 @@ def register_surface(
         side_proven=side_proven,
         centre_ct_mm=adjusted.centre_mm,
         mixture=adjusted.mixture,
+        misfits=adjusted.misfits,
         gains=adjusted.gains,
         along_mm=adjusted.along_mm,
         sources=columns.sources,
@@ -303,6 +314,7 @@ class _Adjusted:
     found: Settled
     centre_mm: Array
     mixture: PoseMixture
+    misfits: tuple[Misfit, ...]
     gains: Array
     along_mm: Array
     noise_mm2: Array
@@ -358,6 +370,7 @@ class _Adjusted:
             found,
             centre,
             replace(likely, shifts=likely.shifts - mean),
+            model.misfits,
             adjustment.gains(likely),
             along,
             noise + LEAST_NOISE_MM**2,
