@@ -75,7 +75,7 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
     variance = np.where(several, MEDIAN_VARIANCE * np.maximum(stated, scatter**2), stated)
     merged = scan.select(rows)
     moved = (level - placed.distances_mm[rows])[:, None] * placed.directions[rows]
-    spread, above = _spread_in_depth(placed, near, rows)
+    spread, above = _spread_in_depth(placed, scan.look, near, rows)
     limit = HAIR_SPREAD_MM + HAIR_NOISES * np.sqrt(noise_mm2[rows]) + HAIR_SPREADS * np.median(spread)
     scattered_mm2 = np.maximum(spread**2 - (BESIDE_HAIR * limit) ** 2, 0.0)
     scale = (variance / counts + scattered_mm2) / noise_mm2[rows]
@@ -90,14 +90,17 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
 
 
 def _spread_in_depth(
-    placed: Settled, near: NDArray[np.int64], rows: NDArray[np.int64]
+    placed: Settled, look: NDArray[np.int64], near: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Return how the neighbours of the rows scatter in depth, as hair does: both ways, and outwards, mm."""
-    order, cell, _ = _cells(placed.places_mm[near], np.zeros(len(near), np.int64), len(near), HAIR_APART_MM)
+    """Return how the neighbours of the rows scatter in depth, as hair does: both ways, and outwards, mm.
+
+    Neighbours are those of the same look: two looks at a head that moved between them are no hair.
+    """
+    order, cell, _ = _cells(placed.places_mm[near], look[near], len(near), HAIR_APART_MM)
     apart = near[order[_middles(placed.places_mm[near[order]], cell)]]
-    places, distances = placed.places_mm[apart], placed.distances_mm[apart]
-    count = min(HAIR_NEIGHBOURS, len(apart))
-    apart, beside = cKDTree(places).query(placed.places_mm[rows], k=[*range(1, count + 1)])
+    by_look = np.column_stack([placed.places_mm, 2.0 * HAIR_REACH_MM * look])
+    distances, count = placed.distances_mm[apart], min(HAIR_NEIGHBOURS, len(apart))
+    apart, beside = cKDTree(by_look[apart]).query(by_look[rows], k=[*range(1, count + 1)])
     depth = np.where(apart < HAIR_REACH_MM, distances[beside], np.nan)
     level = np.nanmedian(depth, axis=1)
     spread = MAD_TO_SIGMA * np.nanmedian(np.abs(depth - level[:, None]), axis=1)
