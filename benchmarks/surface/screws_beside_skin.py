@@ -20,11 +20,12 @@ from procedures.registration.surface.surface_registration import register_surfac
 from ronna_hw.arrays import Array
 from ronna_hw.errors import RefusedError
 from studies.campaign.study import Unit
-from studies.surface.conditions import FIRST_JUDGED, Coverage
+from studies.surface.conditions import SECOND_JUDGED, THIRD_JUDGED, Coverage
 from studies.surface.scanning import Trial
 from studies.surface.study import draw_unit
 
-SEED, HEADS = 4201, 4  # frozen before the run; no other was looked at
+# Frozen before the run; no other was looked at. The kinds that judged first set what the skin may hide.
+SEED, HEADS, KINDS = 4401, 4, (*SECOND_JUDGED, *THIRD_JUDGED)
 COUNTS = (0, 1, 2, 3)
 SPHERE_SD_MM = 0.1  # per axis: CT, seating and look
 STANDOFF_MM = 16.0  # of a sphere's centre from the skin
@@ -42,7 +43,7 @@ def main() -> None:
     refused: dict[int, dict[str, int]] = {count: {} for count in COUNTS}
     named = {f"{count} screws, {moved_mm:g} mm": [0, 0] for count in COUNTS[1:] for moved_mm in MOVED_MM}
     for head in range(HEADS):
-        for skin in FIRST_JUDGED:
+        for skin in KINDS:
             unit = Unit(f"{Coverage.FRONT_AND_EARS}|{skin}", head, 1)
             in_ct, trial, draw = draw_unit(SEED, unit)
             surface = in_ct.shown_by(draw.offset_mm, trial.slices)

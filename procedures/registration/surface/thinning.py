@@ -24,6 +24,7 @@ TIE_DIGITS = 3  # of mm: two points are as far from their mean, whatever the las
 
 # Hair: neighbours lie in depths up to its thickness, skin does not. Source: parametric heads.
 HAIR_REACH_MM, HAIR_NEIGHBOURS = 15.0, 16
+FEWEST_IN_LOOK = 8  # neighbours that show by themselves how they scatter
 HAIR_APART_MM = 1.0  # of these neighbours: those on one strand say nothing
 HAIR_SPREAD_MM, HAIR_NOISES, HAIR_SPREADS = 0.1, 0.5, 2.0  # limit: least, by the noise, by the usual spread
 BESIDE_HAIR = 0.75  # of that limit; what neighbours scatter beyond it is noise
@@ -75,8 +76,11 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
     variance = np.where(several, MEDIAN_VARIANCE * np.maximum(stated, scatter**2), stated)
     merged = scan.select(rows)
     moved = (level - placed.distances_mm[rows])[:, None] * placed.directions[rows]
-    spread, above = _spread_in_depth(placed, scan.look, near, rows)
+    spread, above, _ = of_all = _spread_in_depth(placed, np.zeros_like(scan.look), near, rows)
     limit = HAIR_SPREAD_MM + HAIR_NOISES * np.sqrt(noise_mm2[rows]) + HAIR_SPREADS * np.median(spread)
+    # Two looks at a head that moved between them are no hair: hair scatters within each.
+    *of_look, neighbours = _spread_in_depth(placed, scan.look, near, rows)
+    spread, above = np.where(neighbours >= FEWEST_IN_LOOK, np.minimum(of_all[:2], of_look), of_all[:2])
     scattered_mm2 = np.maximum(spread**2 - (BESIDE_HAIR * limit) ** 2, 0.0)
     scale = (variance / counts + scattered_mm2) / noise_mm2[rows]
     merged = replace(
@@ -91,10 +95,10 @@ def merge_neighbours(scan: SurfaceScan, placed: Settled, most: int = MOST_POINTS
 
 def _spread_in_depth(
     placed: Settled, look: NDArray[np.int64], near: NDArray[np.int64], rows: NDArray[np.int64]
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Return how the neighbours of the rows scatter in depth, as hair does: both ways, and outwards, mm.
 
-    Neighbours are those of the same look: two looks at a head that moved between them are no hair.
+    Neighbours have the same number of `look`. Last is how many there are.
     """
     order, cell, _ = _cells(placed.places_mm[near], look[near], len(near), HAIR_APART_MM)
     apart = near[order[_middles(placed.places_mm[near[order]], cell)]]
@@ -104,7 +108,7 @@ def _spread_in_depth(
     depth = np.where(apart < HAIR_REACH_MM, distances[beside], np.nan)
     level = np.nanmedian(depth, axis=1)
     spread = MAD_TO_SIGMA * np.nanmedian(np.abs(depth - level[:, None]), axis=1)
-    return spread, np.nanquantile(depth, ABOVE_QUANTILE, axis=1) - level
+    return spread, np.nanquantile(depth, ABOVE_QUANTILE, axis=1) - level, np.isfinite(depth).sum(axis=1)
 
 
 def _cells(

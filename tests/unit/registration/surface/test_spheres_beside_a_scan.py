@@ -80,6 +80,20 @@ def test_a_sphere_that_moved_is_refused_by_its_number(heads, scan_of, count):
     assert refusal.value.code == "SRF-012"
 
 
+def test_screws_that_have_the_skin_elsewhere_widen_the_limit_and_are_believed(heads, scan_of):
+    made = scan_of(heads[0], 21, misfit_mm=0.1)
+    limits_mm, errors_mm = [], []
+    for slid_mm in (0.0, 0.9):  # all skin as one: it shows nothing of it itself
+        points = made.scan.points_mm + made.truth.rotation_matrix @ [0.0, 0.0, slid_mm]
+        found = register_surface(
+            replace(made.scan, points_mm=points), heads[0], made.start, spheres=look_at(made, 3, 3)
+        )
+        limits_mm.append(max(found.predict(one).limit_mm() for one in DEEP_MM))
+        errors_mm.append(np.linalg.norm(made.errors_mm(found.robot_from_ct, DEEP_MM), axis=1).max())
+    assert limits_mm[1] > 1.1 * limits_mm[0]
+    assert errors_mm[1] < 0.3
+
+
 def test_an_error_of_the_arm_that_spheres_and_target_share_cancels(heads, scan_of):
     made = scan_of(heads[1], 5)
     spheres, looks = look_at(made, 3, 2), len(np.unique(made.scan.look)) + 3

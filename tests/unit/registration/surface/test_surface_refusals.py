@@ -32,6 +32,7 @@ from procedures.registration.surface.surface_registration import register_surfac
 from procedures.registration.target_prediction import IndependentErrors, SharedErrors
 from ronna_hw.frames import Frame, Transform
 
+FRONT_AND_EARS = ((0.0, -1.0, 0.2), (1.0, -0.6, 0.2), (-1.0, -0.6, 0.2), (0.0, -0.7, 1.0))
 VAULT = ((0.0, -0.6, 1.0), (0.0, 0.0, 1.0), (0.5, -0.5, 1.0), (-0.5, -0.5, 1.0))
 
 
@@ -116,6 +117,20 @@ def test_a_head_that_moved_between_two_looks_is_refused(heads, scan_of):
     made = scan_of(heads[0], 7, moved=move, misfit_mm=0.1)
     with raises(HEAD_MOVED, match="from look 2 on"):
         register_surface(made.scan, heads[0], made.start)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_slip_between_two_looks_at_the_same_skin_is_told_along_every_axis(heads, scan_of, axis):
+    def slip(points, look):
+        return points + np.where(look == 4, 1.2, 0.0)[:, None] * np.eye(3)[axis]
+
+    looks = (*FRONT_AND_EARS, FRONT_AND_EARS[0])
+    still, slipped = (
+        scan_of(heads[0], 7, misfit_mm=0.3, count=700, views=looks, moved=moved) for moved in (None, slip)
+    )
+    register_surface(still.scan, heads[0], still.start)
+    with raises(HEAD_MOVED, match="from look 4 on"):
+        register_surface(slipped.scan, heads[0], slipped.start)
 
 
 @pytest.mark.branch("SKIN_MOVED")
