@@ -28,6 +28,7 @@ SMALL_STEPS = "the small steps across each place on the skin"
 ACROSS_MM = (-9.0, -3.0, 3.0, 9.0)  # places of the line across a look, along the tool's y axis
 CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
 FEWEST_DARK = 5  # looks in a row without a line that end a scan; whole cases had two dark ones at most
+LINE_MM, SHORT_MM = 23.0, 12.0  # length on the skin as usual, and with half of it hidden: of simulated heads
 DECIMALS = 4  # of a point in the record, mm
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
 SATURATED, DARK, UNREACHED = "saturated", "dark", "unreached"  # looks without a line
@@ -173,6 +174,17 @@ def _kind_of(unlit: ScannedLook) -> str:
     if unlit.code == Saturated.code:
         return SATURATED
     return UNREACHED if unlit.code in {one.code for one in LEFT_OUT} else DARK
+
+
+def describe_short(lines: Sequence[ScannedLine]) -> str | None:
+    """Say that half of the lines are short, if they are: a hand off the skin hides it without being measured."""
+    length_mm = float(np.median([np.linalg.norm(np.ptp(one.points_mm, axis=0)) for one in lines]))
+    if length_mm >= SHORT_MM:
+        return None
+    return (
+        f"half of the lines show less than {length_mm:.0f} mm of skin, usually {LINE_MM:.0f} mm: "
+        "look for a hand, a drape or hair before the stereo head; the rest counts, with the error it leaves"
+    )
 
 
 def _rounded(points_mm: Array) -> Array:

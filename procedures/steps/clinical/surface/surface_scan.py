@@ -28,6 +28,7 @@ from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surface.look_scanner import (
     SMALL_STEPS,
     LookScanner,
+    describe_short,
     has_gone_out,
     is_dark_so_far,
     read_time_s,
@@ -115,6 +116,8 @@ def _scan(context: StepContext, paths: CheckedPaths) -> Outcome[ScannedSurface]:
         context.find(f"look {number} at the skin shows no line: {reason}")
     require_lines(looks, len(planned))
     require_line_to_the_end(looks, len(planned))
+    if (short := describe_short(lines)) is not None:
+        context.find(short)
     over_skin = Centring(workcell, None, LINE_AREA_PX, context.setting.settings.approach_mm)
     if over_skin.is_over_sphere:
         over_skin.back_off()

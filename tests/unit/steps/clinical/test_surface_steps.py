@@ -66,7 +66,7 @@ from procedures.steps.clinical.surface.landmark_reading import (
     guess_order,
     place_head,
 )
-from procedures.steps.clinical.surface.look_scanner import LookScanner, require_lines
+from procedures.steps.clinical.surface.look_scanner import LookScanner, describe_short, require_lines
 from procedures.steps.clinical.surface.repeated_work import repeat_if_refused
 from procedures.steps.clinical.surface.surface_registration import repeats
 from procedures.workcell import line_look, workcell
@@ -234,6 +234,19 @@ def test_a_scan_ends_at_the_early_look_with_the_most_skin_around_it() -> None:
     ]
     skin = np.array([[0.0, 5.0, 0.0], [100.0, 5.0, 0.0], [100.0, 9.0, 0.0], *[[300.0, 0.0, 0.0]] * 5])
     assert surface_paths.choose_closing(views, skin) is views[1]
+
+
+@pytest.mark.parametrize(("length_mm", "is_told"), [(6.0, True), (22.0, False)])
+def test_lines_that_something_hides_in_part_are_told(length_mm: float, is_told: bool) -> None:
+    line = ScannedLine(
+        look=0,
+        joints_rad=(0.0,) * 6,
+        view_mm=(0.0, 0.0, 0.0),
+        points_mm=[(0.0, 0.0, 0.0), (length_mm, 0.0, 0.0)],
+        covariances_mm2=[(0.01, 0.0, 0.0, 0.01, 0.0, 0.01)] * 2,
+    )
+    told = describe_short([line] * 3)
+    assert (told is not None and "less than 6 mm" in told) is is_told
 
 
 @pytest.mark.branch("DARK_SCAN")
