@@ -177,7 +177,7 @@ def _kind_of(unlit: ScannedLook) -> str:
 
 
 def describe_short(lines: Sequence[ScannedLine]) -> str | None:
-    """Say that half of the lines are short, if they are: a hand off the skin hides it without being measured."""
+    """Say that half of the lines are short, if so: a hand off the skin hides it without being measured."""
     length_mm = float(np.median([np.linalg.norm(np.ptp(one.points_mm, axis=0)) for one in lines]))
     if length_mm >= SHORT_MM:
         return None
