@@ -6,7 +6,7 @@ for the motions of the best tour so far only, until all of its motions are known
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,30 +28,44 @@ Places = list[int]
 
 
 def tour_views(
-    setting: ArmSetting, views: Sequence[Reached], needed: int, look_s: float, limit_s: float
+    setting: ArmSetting,
+    views: Sequence[Reached],
+    needed: int,
+    look_s: float,
+    limit_s: float,
+    may_close: Sequence[bool] = (),
 ) -> tuple[Reached, ...]:
     """Return views, each perhaps turned about its axis, in the order that takes the arm least time.
 
     The first `needed` are all in it; of the others those are left out that take longest, until the tour, with
-    `look_s` at each view, takes no more than `limit_s`.
+    `look_s` at each view, takes no more than `limit_s`. It ends once more at the first of the views that
+    `may_close` it, if there are any.
     """
     if not views:
         return ()
-    tour = _Tour(setting, [(view, *turned_about_axis(setting, view)) for view in views])
+    closing = {number for number, may in enumerate(may_close) if may}
+    tour = _Tour(setting, [(view, *turned_about_axis(setting, view)) for view in views], closing)
+
+    def is_too_long(order: Places) -> bool:
+        closed = tour.close(order)
+        return tour.duration_s(closed) + look_s * len(closed) > limit_s and len(order) > needed
+
     order = tour.find_order(tour.nearest_first())
-    while tour.duration_s(order) + look_s * len(order) > limit_s and len(order) > needed:
-        while tour.duration_s(order) + look_s * len(order) > limit_s and len(order) > needed:
+    while is_too_long(order):
+        while is_too_long(order):
             shorter = [[one for one in order if one != place] for place in order if place >= needed]
-            order = min(shorter, key=tour.duration_s)
+            order = min(shorter, key=lambda one: tour.duration_s(tour.close(one)))
         order = tour.find_order(order)
-    return tuple(tour.views[number] for number in tour.choose_turns(order))
+    return tuple(tour.views[number] for number in tour.choose_turns(tour.close(order)))
 
 
 class _Tour:
     """Durations between all turns of all views, expected at first, and computed once they are checked."""
 
-    def __init__(self, setting: ArmSetting, turns: Sequence[Sequence[Reached]]) -> None:
-        self._setting, self._around = setting, head_around(setting)
+    def __init__(
+        self, setting: ArmSetting, turns: Sequence[Sequence[Reached]], closing: Collection[int] = ()
+    ) -> None:
+        self._setting, self._around, self._closing = setting, head_around(setting), closing
         self.views = [view for each in turns for view in each]
         ends = np.cumsum([len(each) for each in turns])
         self._turns = [np.arange(end - len(each), end) for end, each in zip(ends, turns, strict=True)]
@@ -86,20 +100,24 @@ class _Tour:
         """Shorten an order of places until all of its motions are known to be clear, or to lead via home."""
         for _ in range(MOST_ROUNDS):
             order = self._shorten(order)
-            if not self._check(self.choose_turns(order)):
+            if not self._check(self.choose_turns(self.close(order))):
                 break
         return order
 
     def _shorten(self, order: Places) -> Places:
         """Reverse parts of an order and move single places, as long as that saves time."""
-        seconds = self.duration_s(order)
+        seconds = self.duration_s(self.close(order))
         while True:
             for other in _neighbours(order):
-                if (shorter := self.duration_s(other)) < seconds - LEAST_GAIN_S:
+                if (shorter := self.duration_s(self.close(other))) < seconds - LEAST_GAIN_S:
                     order, seconds = other, shorter
                     break
             else:
                 return order
+
+    def close(self, order: Places) -> Places:
+        """Return an order that ends once more at the first of its places that may close it."""
+        return [*order, *[place for place in order if place in self._closing][:1]]
 
     def choose_turns(self, order: Places) -> Places:
         """Return the number of one turn of each place, with which this order takes the least time."""

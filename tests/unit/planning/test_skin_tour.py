@@ -66,6 +66,17 @@ def test_the_joints_turn_less_than_in_the_order_given(
     )
 
 
+def test_a_tour_ends_once_more_at_the_first_view_that_may_close_it(
+    setting: ArmSetting, views: tuple[Reached, ...]
+) -> None:
+    may_close = [number in (1, 3) for number in range(len(views))]
+    tour = tour_views(setting, views, NEEDED, LOOK_S, np.inf, may_close)
+    assert places_of(tour[:-1]) == places_of(views)
+    closing = set(places_of((views[1], views[3])))
+    first = next(one for one in tour if places_of((one,))[0] in closing)
+    assert places_of(tour[-1:]) == places_of((first,))
+
+
 def test_views_are_left_out_for_time_but_never_those_that_are_needed(
     setting: ArmSetting, views: tuple[Reached, ...]
 ) -> None:

@@ -76,7 +76,6 @@ from ronna_hw.arrays import Array
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
-from ronna_hw.frames import Frame, Transform
 from ronna_hw.roles import TWO_ARMS
 from ronna_hw.vectors import Vector3
 
@@ -227,13 +226,10 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
         surface_paths.run(cast(StepContext, context))
 
 
-def test_a_scan_ends_at_the_early_look_with_the_most_skin_around_it() -> None:
-    views = [
-        Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=[x, 0.0, 0.0])
-        for x in (0.0, 100.0, 200.0, 300.0)
-    ]
-    skin = np.array([[0.0, 5.0, 0.0], [100.0, 5.0, 0.0], [100.0, 9.0, 0.0], *[[300.0, 0.0, 0.0]] * 5])
-    assert surface_paths.choose_closing(views, skin) is views[1]
+def test_a_scan_ends_at_a_look_with_much_skin_around_it() -> None:
+    middles = np.array([[0.0, 0.0, 0.0], [100.0, 0.0, 0.0], [200.0, 0.0, 0.0]])
+    skin = np.repeat(middles, (1, 9, 10), axis=0)
+    assert surface_paths.may_close(middles, skin) == [False, True, True]
 
 
 @pytest.mark.parametrize(("length_mm", "is_told"), [(6.0, True), (22.0, False)])
