@@ -69,8 +69,8 @@ class NotReachable(RefusedError):
 
     code = "PLAN-007"
     action = (
-        "Change the free angle, move the cart, the head or the obstacle, or give the arm a wider range in "
-        "the theatre file; then check again."
+        "Change the free angle, move the cart, the head or the obstacle, plan a larger standoff_mm where the "
+        "guide comes too near, or give the arm a wider range in the theatre file; then check again."
     )
 
 
