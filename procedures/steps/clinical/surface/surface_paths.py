@@ -33,10 +33,10 @@ from ronna_hw.frames import Transform
 CANDIDATES, VIEWS = 36, 20  # looks that are compared, and among which those on a short way are taken
 LOOK_S = 2.1  # theatre time at a look, of four lines
 SCAN_S = 52.0  # theatre time of all looks and the ways to them
+AROUND_MM = 35.0  # of the middle of a look: skin that it sees
 # Share of the most skin, of that which a scan is planned for, around the look that it repeats at its end.
 # Safety against a head that slips in its clamp during the scan. Source: seed 7, slips of 1 and 2 mm.
 CLOSING_SHARE = 0.7
-AROUND_MM = 35.0  # of the middle of a look
 # Safety against a look from which more is expected than its lines show (U).
 SEEN_MM = 12.0  # of the skin around the middle of a look: half of a line
 FEWEST_VIEWS = 8  # with fewer the scan would be refused for its coverage
