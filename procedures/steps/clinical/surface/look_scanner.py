@@ -28,7 +28,6 @@ SMALL_STEPS = "the small steps across each place on the skin"
 ACROSS_MM = (-9.0, -3.0, 3.0, 9.0)  # places of the line across a look, along the tool's y axis
 CHECKED_LOOKS = 3  # between two looks at which the tracker looks at the room; the guards watch all motions
 FEWEST_DARK = 5  # looks in a row without a line that end a scan; whole cases had two dark ones at most
-LINE_MM, SHORT_MM = 23.0, 12.0  # length on the skin as usual, and with half of it hidden: of simulated heads
 DECIMALS = 4  # of a point in the record, mm
 LEFT_OUT = (NotClear, OutOfJointRange, Singular, Unreachable)
 SATURATED, DARK, UNREACHED = "saturated", "dark", "unreached"  # looks without a line
@@ -43,6 +42,10 @@ GONE_OUT = (
 LOOKS_KEPT = (
     "The looks that show the line are kept: resume the run, or repeat the step, and the others are taken."
 )
+LINE_MM = 23.0  # length of a line on the skin, as usual on simulated heads
+# Length with half of it hidden.
+# Safety against a hand or a drape that hides skin without being measured. Source: simulated heads.
+SHORT_MM = 12.0
 
 
 class LookScanner:

@@ -33,7 +33,9 @@ from ronna_hw.frames import Transform
 CANDIDATES, VIEWS = 36, 20  # looks that are compared, and among which those on a short way are taken
 LOOK_S = 2.1  # theatre time at a look, of four lines
 SCAN_S = 52.0  # theatre time of all looks and the ways to them
-AROUND_MM = 35.0  # of the middle of a look: skin that it sees
+# Of the middle of a look: skin that it sees.
+# Safety against a look at the end that shows too little to tell a slip. Source: length of the line (U).
+AROUND_MM = 35.0
 # Share of the most skin, of that which a scan is planned for, around the look that it repeats at its end.
 # Safety against a head that slips in its clamp during the scan. Source: seed 7, slips of 1 and 2 mm.
 CLOSING_SHARE = 0.7
