@@ -345,7 +345,7 @@ class NearWord(NamedTuple):
 
 
 class Stop(NamedTuple):
-    """Where the parser stopped: the terminals allowed there, the column, and the start of its word."""
+    """Place where the parser stopped: the terminals allowed there, its column, and where its word begins."""
 
     names: set[str]
     column: int

@@ -1,4 +1,4 @@
-"""What is watched for changes is told as it is watched, also with few spheres beside the skin."""
+"""The table of what stayed as it was says by what head and cart are watched, also with few spheres."""
 
 from __future__ import annotations
 

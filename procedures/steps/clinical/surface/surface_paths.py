@@ -52,15 +52,15 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     context.progress(0.0, "choosing looks at the skin")
     setting, skin = arm_setting_of(context), skin_of(context)
     places_mm = skin.points_mm
-    scanned, most, fewest = mark_scannable(skin), VIEWS, FEWEST_VIEWS
+    scanned, fewest, is_carried = mark_scannable(skin), FEWEST_VIEWS + 1, False  # one is taken twice
     if context.result(SurfaceStart).carried and (carried := find_carried(context)) is not None:
         before_mm = setting.robot_from_ct.inverse().apply(carried.scan.points_mm)
         apart_mm, _ = cKDTree(before_mm).query(places_mm, distance_upper_bound=BESIDE_MM)
-        scanned, most, fewest = scanned & np.isfinite(apart_mm), CARRIED_VIEWS, FEWEST_CARRIED
+        scanned, fewest, is_carried = scanned & np.isfinite(apart_mm), FEWEST_CARRIED, True
     branch = setting.kinematics.branch_of(setting.start_rad)
     found = choose_views(setting, branch, places_mm[scanned], skin.normals[scanned], CANDIDATES)
     targets_mm = [one.target_mm for one in context.result(CheckedPlan).plan.trajectories]
-    views = choose_by_error(setting, found, skin, np.array(targets_mm), most)
+    views = choose_by_error(setting, found, skin, np.array(targets_mm), is_carried)
     if len(views) < fewest:
         raise NO_STATIONS(
             "the arm can look at few places on the skin", limit=f"{fewest} looks", got=str(len(views))
@@ -70,14 +70,17 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
 
 
 def choose_by_error(
-    setting: ArmSetting, views: Sequence[Reached], skin: Surface, targets_mm: Array, most: int = VIEWS
+    setting: ArmSetting, views: Sequence[Reached], skin: Surface, targets_mm: Array, is_carried: bool
 ) -> tuple[Transform, ...]:
     """Return the views that lower the expected error at the targets (n, 3), CT mm, most, as they are taken.
 
-    The last one repeats an early one: skin that has shown itself before tells whether the head slipped.
-
     The rest of the scan's time is for others, which are spread over the skin, as far as they are on the way.
+    The last one repeats an early one: skin that has shown itself before tells whether the head slipped. Of a
+    head that its clamp has carried all looks show such skin, and few are taken.
     """
+    if not views:
+        return ()
+    most = CARRIED_VIEWS if is_carried else VIEWS
     ct_from_robot, points_mm = setting.robot_from_ct.inverse(), skin.points_mm
     stations = []
     middles_mm = ct_from_robot.apply([view.visit.pose.translation_mm for view in views])
@@ -87,8 +90,7 @@ def choose_by_error(
     best = choose_stations(stations, targets_mm, worth_mm_per_s=0.0).stations
     chosen = [*best, *(number for number in range(len(views)) if number not in best)][:most]
     needed = min(most, len(best))
-    # A head that was carried shows only skin that was scanned before.
-    closing = may_close(middles_mm[chosen], points_mm[mark_scannable(skin)]) if most == VIEWS else ()
+    closing = () if is_carried else may_close(middles_mm[chosen], points_mm[mark_scannable(skin)])
     tour = tour_views(setting, [views[number] for number in chosen], needed, LOOK_S, SCAN_S, closing)
     return tuple(one.visit.pose for one in tour)
 

@@ -221,7 +221,6 @@ def test_too_few_looks_in_reach_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
     )
     monkeypatch.setattr(surface_paths, "mark_scannable", lambda skin: np.ones(len(skin.points_mm), bool))
     monkeypatch.setattr(surface_paths, "choose_views", lambda *_arguments: ())
-    monkeypatch.setattr(surface_paths, "choose_by_error", lambda *_arguments: ())
     with raises(NO_STATIONS):
         surface_paths.run(cast(StepContext, context))
 
